@@ -1,0 +1,1 @@
+"""Studies with concealed physics: made here, diagnosed elsewhere, scored here; no code is shared."""

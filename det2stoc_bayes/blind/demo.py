@@ -1,0 +1,123 @@
+"""A demonstration: conceal an effect, have the study diagnosed by another process, reveal the answer."""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from det2stoc_bayes.blind.conceal import ConcealedCase, make_case
+from det2stoc_bayes.blind.laws import LAWS
+from det2stoc_bayes.blind.score import score
+from det2stoc_bayes.blind.systems import SYSTEMS
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Make a concealed study, diagnose it, and show the diagnosis beside the answer."""
+    parser = argparse.ArgumentParser(prog="make demo", description=main.__doc__)
+    parser.add_argument("--seed", type=int, help="default: from the operating system's entropy")
+    parser.add_argument("--out", type=Path, default=Path("out"), help="parent of the demo's folder")
+    parser.add_argument("--system", choices=list(SYSTEMS))
+    parser.add_argument("--effect", choices=list(LAWS))
+    parser.add_argument("--control", action="store_true", help="conceal nothing")
+    a = parser.parse_args(arguments)
+    console = Console()
+    seed = int.from_bytes(os.urandom(4), "big") if a.seed is None else a.seed
+    folder = a.out / f"demo-{seed}"
+    study, diagnosis_folder = folder / "study", folder / "diagnosis"
+    console.print(f"[bold]Seed {seed}[/bold]: concealing an effect in a study under {study} ...")
+    case = make_case(seed, system=a.system, effect=a.effect, control=a.control)
+    case.write(study)
+    console.print(
+        f"The study has {len(case.study_files)} files; the answer is in this process's memory only.\n"
+    )
+    command = [sys.executable, "-m", "det2stoc_bayes", "diagnose", str(study), "--out", str(diagnosis_folder)]
+    try:
+        code = subprocess.run(command, check=False).returncode
+    except KeyboardInterrupt:
+        console.print("\nInterrupted; the study and what is finished are kept.")
+        return 130
+    result = diagnosis_folder / "diagnosis.json"
+    if code != 0 or not result.is_file():
+        console.print(
+            f"[red]The diagnosis ended with code {code}[/red] and left no result to compare. Run again:"
+        )
+        console.print("  " + " ".join(command), soft_wrap=True)
+        return code or 1
+    reveal(case, json.loads(result.read_text(encoding="utf-8")), console)
+    console.print(f"Report: {diagnosis_folder / 'report.html'}", soft_wrap=True)
+    return 0
+
+
+def reveal(case: ConcealedCase, diagnosis: Mapping[str, Any], console: Console) -> None:
+    """Print the answer and the diagnosis side by side."""
+    answer: Mapping[str, Any] = case.answer
+    table = Table(title=f"Seed {case.seed}, {answer['system']}")
+    for heading in ("", "concealed", "diagnosed"):
+        table.add_column(heading)
+    table.add_row("verdict", answer["verdict"], diagnosis["verdict"])
+    truths, found = answer["effects"], diagnosis.get("effects") or []
+    for index in range(max(len(truths), len(found), 1)):
+        truth = truths[index] if index < len(truths) else None
+        given = found[index] if index < len(found) else None
+        table.add_row("effect", truth["name"] if truth else "none", given["name"] if given else "none")
+        table.add_row("on", _element(truth), _element(given))
+        for key in {**(truth or {}).get("parameters", {}), **(given or {}).get("parameters", {})}:
+            value = truth["parameters"].get(key, "") if truth else ""
+            shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+            estimate = given["parameters"].get(key) if given else None
+            table.add_row(f"  {key}", shown, _estimate(estimate))
+        for name, entry in (("or equally", truth and truth["accepted"]), ("or equally", None)):
+            others = entry if entry is not None else (given or {}).get("equivalent") or []
+            text = ", ".join(f"{other['name']} {_element(other)}".strip() for other in others)
+            if text:
+                table.add_row(f"  {name}", *((text, "") if entry is not None else ("", text)))
+    for name, value in answer["psi"].items():
+        after = (diagnosis.get("psi") or {}).get(name, {}).get("after")
+        table.add_row(f"psi {name}", f"{value:.4g}", _mean_sd(after))
+    console.print(table)
+    console.print(
+        f"The effect moved the recordings by {answer['size_in_noise_sds']:.1f} noise sds, of which psi "
+        f"and the initial states can hide all but {answer['unabsorbed_in_noise_sds']:.1f}."
+    )
+    outcome = score(answer, diagnosis)
+    right = outcome.verdict and outcome.named
+    console.print("[bold green]Right.[/bold green]" if right else "[bold red]Not right.[/bold red]")
+    console.print(diagnosis.get("summary", ""))
+
+
+def _element(entry: Mapping[str, Any] | None) -> str:
+    if not entry or "element" not in entry:
+        return ""
+    return f"{entry['element']['kind']} {entry['element']['name']}"
+
+
+def _estimate(entry: Mapping[str, Any] | None) -> str:
+    if entry is None:
+        return ""
+    interval, mean = entry.get("interval"), entry.get("mean")
+    if isinstance(mean, int | float) and interval:
+        return f"{mean:.4g} [{interval[0]:.4g}, {interval[1]:.4g}] {entry.get('unit', '')}".replace(
+            "[", r"\[", 1
+        )
+    return str(mean if mean is not None else entry).replace("[", r"\[")
+
+
+def _mean_sd(after: Mapping[str, Any] | None) -> str:
+    if not after:
+        return ""
+    return (
+        f"{after['mean']} +- {after['sd']}"
+        if isinstance(after["mean"], list)
+        else (f"{after['mean']:.4g} +- {after['sd']:.2g}")
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

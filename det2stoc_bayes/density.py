@@ -1,0 +1,188 @@
+"""The declared likelihood, shared by all methods: given noise, initial states integrated out about the MAP.
+
+log p(y | z) = log normalizer - 1/2 |project(stack(y - prediction(z)))|^2, with starts and projection frozen at the
+MAP: every method then has the same target, however it moves.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import ModuleType
+from typing import Any, Self
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.engines.base import Start
+from det2stoc_bayes.likelihood import LatentStarts
+from det2stoc_bayes.optimize import Fit
+from det2stoc_bayes.problem import Problem, repeat_start
+
+MAX_VALUES = 16_000_000  # residual numbers held at once
+STEP = 0.1  # of a posterior sd: finite difference of a gradient (rounding over long rollouts forbids less)
+
+
+@dataclass(frozen=True, eq=False)
+class Density:
+    """Prior N(0, I) and likelihood of the unknowns z of a problem."""
+
+    problem: Problem
+    center: Float[np.ndarray, " size"]  # z of the MAP
+    scale: Float[
+        np.ndarray, "size size"
+    ]  # lower triangular; z = center + scale u makes u about standard normal
+    start: Start
+    latent: LatentStarts
+    offset: Float[np.ndarray, "segments states"]  # guessed starts from the MAP's, in tangent coordinates
+
+    @classmethod
+    def at(cls, fit: Fit) -> Self:
+        """Frozen at a fit's starts and linearization; the noise is the problem's, whatever scale the fit used."""
+        linear, problem = fit.linear, fit.problem
+        offset = linear.stacked[:, problem.weight.shape[1] :, 0] * linear.latent.prior_sd
+        precision = linear.gram()[0].sum(0) + np.eye(problem.size)
+        return cls(problem, fit.point.z, scale_of(precision), fit.point.start, linear.latent, offset)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.problem.size
+
+    @cached_property
+    def normalizer(self) -> Float[np.ndarray, " segments"]:
+        """The terms of `LatentStarts.log_normalizer`, one a segment."""
+        w, latent = self.latent.weight, self.latent
+        recorded = w > 0
+        log_weight = np.log(np.where(recorded, w, 1.0)).sum(1)
+        diagonal = np.abs(np.diagonal(latent.triangle, axis1=1, axis2=2))
+        starts = np.log(latent.prior_sd).sum(1) + np.log(diagonal).sum(1)
+        return log_weight - starts - 0.5 * recorded.sum(1) * np.log(2 * np.pi)
+
+    def projected(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "segments stacked points"]:
+        """Whitened residuals that no initial state explains; NaN where a simulation diverged."""
+        problem, points = self.problem, len(z)
+        predicted = problem.simulator.rollout(problem.request(z, repeat_start(self.start, points)))
+        diverged = ~np.isfinite(predicted).all((1, 2))
+        residuals = problem.residuals(predicted)
+        residuals[diverged] = np.nan
+        columns = np.moveaxis(residuals.reshape(points, problem.segments.count, -1), 0, -1)
+        offset = np.broadcast_to(self.offset[..., None], (*self.offset.shape, points))
+        return self.latent.project(self.latent.stack(columns, offset))
+
+    def log_likelihood_by_segment(
+        self, z: Float[np.ndarray, "points size"]
+    ) -> Float[np.ndarray, "points segments"]:
+        """One term a segment; -inf where its simulation diverged."""
+        z = np.asarray(z, dtype=float)
+        out = np.empty((len(z), self.problem.segments.count))
+        for rows in self.chunks(len(z)):
+            out[rows] = self.terms(self.projected(z[rows]))
+        return out
+
+    def chunks(self, points: int, variants: int = 1) -> Iterator[slice]:
+        """Points whose residuals, `variants` each, fit in memory together."""
+        size = max(1, MAX_VALUES // (variants * self.latent.basis[..., 0].size))
+        for begin in range(0, points, size):
+            yield slice(begin, min(begin + size, points))
+
+    def terms(
+        self, projected: Float[np.ndarray, "segments stacked points"]
+    ) -> Float[np.ndarray, "points segments"]:
+        """log likelihood of each segment; -inf where its simulation diverged."""
+        terms = self.normalizer[:, None] - 0.5 * np.einsum("snk,snk->sk", projected, projected)
+        return np.where(np.isfinite(terms), terms, -np.inf).T
+
+    def by_recording(
+        self, terms: Float[np.ndarray, "points segments"]
+    ) -> Float[np.ndarray, "points recordings"]:
+        """Segments' terms summed over each recording."""
+        out = np.zeros((len(terms), len(self.problem.segments.recordings)))
+        for s, r in enumerate(self.problem.segments.recording):
+            out[:, r] += terms[:, s]
+        return out
+
+    def log_likelihood_by_recording(
+        self, z: Float[np.ndarray, "points size"]
+    ) -> Float[np.ndarray, "points recordings"]:
+        """log p(recording | z)."""
+        return self.by_recording(self.log_likelihood_by_segment(z))
+
+    def log_likelihood(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, " points"]:
+        """log p(y | z)."""
+        return self.log_likelihood_by_recording(z).sum(1)
+
+    def log_density(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, " points"]:
+        """log p(y | z) + log N(z; 0, I)."""
+        return self.log_likelihood(z) + log_prior(np.asarray(z, dtype=float))
+
+    def value_and_grad(
+        self, z: Float[np.ndarray, "points size"]
+    ) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, "points size"]]:
+        """log density and its gradient: central differences in one batch (C), forward mode (MJX)."""
+        z = np.asarray(z, dtype=float)
+        if self.problem.simulator.engine.name == "mjx":
+            from det2stoc_bayes.density_jax import batched_value_and_grad
+
+            value, gradient = batched_value_and_grad(self)(z)
+        else:
+            terms, gradient = self.terms_and_grad(z)
+            value = terms.sum(1)
+        return value + log_prior(z), gradient - z
+
+    def terms_and_grad(
+        self, z: Float[np.ndarray, "points size"]
+    ) -> tuple[Float[np.ndarray, "points recordings"], Float[np.ndarray, "points size"]]:
+        """log likelihood by recording and the gradient of its sum, by central differences along posterior axes."""
+        terms, gradients = np.empty((len(z), self.problem.segments.count)), np.empty(z.shape)
+        variants = 1 + 2 * self.size
+        steps = np.concatenate([np.zeros((1, self.size)), STEP * self.scale.T, -STEP * self.scale.T])
+        for rows in self.chunks(len(z), variants):
+            projected = self.projected((z[rows, None] + steps).reshape(-1, self.size))
+            terms[rows] = self.terms(projected[..., ::variants])
+            projected = projected.reshape(*projected.shape[:2], -1, variants)
+            above, below = projected[..., 1 : 1 + self.size], projected[..., 1 + self.size :]
+            slope = np.einsum("snp,snpk->pk", projected[..., 0], above - below) / (2 * STEP)
+            # A neighbour that diverges tells nothing: no force along that axis.
+            gradients[rows] = np.linalg.solve(self.scale.T, -np.nan_to_num(slope, nan=0.0).T).T
+        self.problem.simulator.counter.gradients += len(z)
+        return self.by_recording(terms), gradients
+
+    def jax_log_density(self) -> Callable[[Any], Any]:
+        """log_density of one z for jax: traceable, vmapped chains in one batch, differentiable in reverse mode.
+
+        Turns 64-bit mode on for the process: callbacks run on threads of their own, where a local setting is lost.
+        """
+        from det2stoc_bayes.density_jax import jax_log_prior, jax_terms
+
+        terms = jax_terms(self)
+        return lambda z: terms(z).sum() + jax_log_prior(z)
+
+    def numpyro_model(self, terms: Callable[[Any], Any] | None = None) -> Callable[[], None]:
+        """The same density as a NumPyro model: `z`, every unknown by name, the likelihood as a factor.
+
+        `terms` replaces how the likelihood by recording is computed for jax.
+        """
+        from det2stoc_bayes.density_jax import numpyro_model
+
+        return numpyro_model(self, terms)
+
+
+def constrained(problem: Problem, z: Any, xp: ModuleType = np) -> Mapping[str, Any]:
+    """Every unknown by name in its own unit, for arrays (..., size) of either library."""
+    psi = problem.psi(z, xp)
+    values = [psi[..., j] for j in range(problem.num_psi)]
+    for placed, parameters in zip(problem.effects, problem.effect_values(z, xp), strict=True):
+        values += [parameters[p.name] for p in placed.effect.parameters]
+    return dict(zip(problem.names, values, strict=True))
+
+
+def log_prior(z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, " points"]:
+    """log N(z; 0, I)."""
+    return -0.5 * ((z**2).sum(-1) + z.shape[-1] * np.log(2 * np.pi))
+
+
+def scale_of(precision: Float[np.ndarray, "size size"]) -> Float[np.ndarray, "size size"]:
+    """Lower-triangular L with L L' the inverse of a precision."""
+    # Unit diagonal first: the unknowns' precisions may differ by many orders.
+    d = 1.0 / np.sqrt(np.diag(precision))
+    return d[:, None] * np.linalg.cholesky(np.linalg.inv(precision * np.outer(d, d)))

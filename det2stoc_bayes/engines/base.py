@@ -1,0 +1,75 @@
+"""What every engine takes and gives."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from det2stoc_bayes.mismatch.effects.base import PlacedEffect
+from det2stoc_bayes.segments import Segments
+
+
+@dataclass(frozen=True)
+class EffectRows:
+    """An effect that acts in some of the simulations, with parameters for each of them."""
+
+    placed: PlacedEffect
+    rows: slice
+    parameters: Mapping[str, Float[np.ndarray, " rows"]]
+
+
+@dataclass(frozen=True)
+class Start:
+    """Initial states, one a simulation."""
+
+    qpos: Float[np.ndarray, "sims nq"]
+    qvel: Float[np.ndarray, "sims nv"]
+    act: Float[np.ndarray, "sims na"]
+
+    def __getitem__(self, rows) -> "Start":
+        return Start(self.qpos[rows], self.qvel[rows], self.act[rows])
+
+
+@dataclass(frozen=True)
+class Request:
+    """Simulations to run: `which` segment each one follows, from which start, with which model fields and effects."""
+
+    segments: Segments
+    which: Int[np.ndarray, " sims"]
+    start: Start
+    fields: Mapping[str, np.ndarray]  # mjModel's name (`dof_damping`, `opt.gravity`) -> (sims, ...)
+    effects: tuple[EffectRows, ...] = ()
+    timestep: float | None = None  # None: the model's own
+    integrator: str | None = None
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Predicted columns and the states behind them at the sample times."""
+
+    columns: Float[np.ndarray, "sims samples columns"]
+    qpos: Float[np.ndarray, "sims samples nq"]
+    qvel: Float[np.ndarray, "sims samples nv"]
+    act: Float[np.ndarray, "sims samples na"]
+
+
+@dataclass
+class Counter:
+    """Simulations and steps run so far: what a result cost."""
+
+    simulations: int = 0
+    steps: int = 0
+    gradients: int = field(default=0)
+
+
+class Engine(Protocol):
+    """Runs requests."""
+
+    name: str
+    counter: Counter
+
+    def rollout(self, request: Request) -> Float[np.ndarray, "sims samples columns"]:
+        """Predicted values of the segments' columns at their sample times; NaN where a simulation diverged."""
+        ...

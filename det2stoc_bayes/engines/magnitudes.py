@@ -1,0 +1,86 @@
+"""Typical forces, speeds and travels in a model's own simulation."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from det2stoc_bayes.layout import column_address
+from det2stoc_bayes.mismatch.effects.base import Element, Typical
+from det2stoc_bayes.problem import Problem
+
+MAX_STEPS = 4000  # of the simulation that is looked at
+
+
+class Magnitudes:
+    """The believed model at its prior's median, simulated from the recordings' starts under the recorded commands."""
+
+    def __init__(self, problem: Problem):
+        self.problem, self.model = problem, problem.simulator.model
+        self._track = {name: [] for name in ("qpos", "qvel", "force", "inertia", "body_speed", "body_force", "sensordata")}
+        segments = problem.segments
+        steps = max(MAX_STEPS // segments.count, 50)
+        commands = segments.commands(np.arange(segments.count), self.model.opt.timestep, steps)
+        model = self._at_median()
+        for s in range(0, segments.count, max(1, segments.count // 12)):
+            self._simulate(model, s, min(steps, int(segments.steps(model.opt.timestep)[s])), commands[s])
+        self.arrays = {name: np.array(rows) for name, rows in self._track.items()}
+
+    def _at_median(self) -> mujoco.MjModel:
+        batch = mujoco.batch.Batch(self.model, 1)
+        psi = self.problem.psi(np.zeros((1, self.problem.size)))
+        for name, value in self.problem.simulator.fields(psi, [""]).items():
+            batch.expand(name)[:] = value
+        batch.set_const()
+        return batch.get_model(0)
+
+    def _simulate(self, model: mujoco.MjModel, s: int, steps: int, command: np.ndarray) -> None:
+        data = mujoco.MjData(model)
+        start = self.problem.guess.start
+        data.qpos[:], data.qvel[:] = start.qpos[s], start.qvel[s]
+        full, velocity = np.empty((model.nv, model.nv)), np.empty(6)
+        for k in range(steps):
+            data.ctrl[:] = command[k]
+            mujoco.mj_step(model, data)
+            if not np.isfinite(data.qvel).all() or np.abs(data.qvel).max(initial=0) > 1e6:
+                return
+            mujoco.mj_fullM(model, data, full)
+            parts = (data.qfrc_actuator, data.qfrc_passive, data.qfrc_bias)
+            row = {"qpos": data.qpos, "qvel": data.qvel, "force": np.sqrt(sum(p**2 for p in parts)),
+                   "inertia": np.diag(full), "sensordata": data.sensordata}
+            speeds = []
+            for b in range(model.nbody):
+                mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, b, velocity, 0)
+                speeds.append(np.linalg.norm(velocity[3:]))
+            row["body_speed"] = np.array(speeds)
+            row["body_force"] = model.body_mass * np.linalg.norm(data.cacc[:, 3:], axis=1)
+            for name, value in row.items():
+                self._track[name].append(np.array(value))
+
+    def of(self, element: Element) -> Typical:
+        """Root mean squares over the simulation (span: half the range), with floors for what hardly moves."""
+        base = {"timestep": float(self.model.opt.timestep),
+                "integrator": mujoco.mjtIntegrator(self.model.opt.integrator).name.removeprefix("mjINT_")}
+        if element.kind == "joint":
+            inertia = max(self._rms("inertia", element.dof), 1e-9)
+            speed = max(self._rms("qvel", element.dof), 1e-2)
+            span = max(self._span("qpos", element.qpos), 1e-2)
+            return Typical(max(self._rms("force", element.dof), 0.1 * inertia * speed**2 / span), speed, span, inertia, **base)
+        if element.kind == "body":
+            speed = max(self._rms("body_speed", element.body), 1e-2)
+            mass = max(float(self.model.body_mass[element.body]), 1e-9)
+            gravity = float(np.linalg.norm(self.model.opt.gravity))
+            force = max(self._rms("body_force", element.body), 0.1 * mass * max(gravity, 1.0))
+            return Typical(force, speed, 1.0, mass, **base)
+        if element.kind == "sensor" and element.column != "time":
+            where = column_address(self.model, element.column)
+            return Typical(span=max(self._span(where.source, where.index), 1e-6), **base)
+        return Typical(**base)
+
+    def _rms(self, name: str, index: int) -> float:
+        values = self.arrays[name]
+        return float(np.sqrt(np.mean(values[:, index] ** 2))) if len(values) else 0.0
+
+    def _span(self, name: str, index: int) -> float:
+        values = self.arrays[name]
+        return float(np.ptp(values[:, index])) / 2 if len(values) else 0.0

@@ -1,0 +1,234 @@
+"""One simulation in MJX as a pure function of its start, model fields, effect parameters, commands and sample times."""
+
+import contextlib
+import copy
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from det2stoc_bayes.engines.mjx_support import check_effect, check_fields, check_supported
+from det2stoc_bayes.layout import column_address
+from det2stoc_bayes.mismatch.effects.base import BodyState, JointState, PlacedEffect
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missing, which nothing here uses
+    from mujoco import mjx
+
+TINY = 1e-12  # keeps a term in the program that MJX would leave out of it where the model has 0
+NEEDED_NONZERO = ("dof_frictionloss", "tendon_frictionloss", "body_gravcomp", "opt.density", "opt.viscosity", "opt.wind")
+_INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat", "jnt_pos", "jnt_axis",
+             "dof_armature", "tendon_armature", "actuator_gear"}
+Parameters = Mapping[str, Any]
+
+
+class Simulation:
+    """What is fixed when a simulation is compiled: model, columns, effects and which model fields vary."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        columns: Sequence[str],
+        effects: Sequence[PlacedEffect],
+        fields: Sequence[str],
+        nonzero: frozenset[tuple[str, int]] = frozenset(),
+    ):
+        check_fields(model, fields)
+        for placed in effects:
+            check_effect(model, placed)
+        model = _with_tiny(model, nonzero)
+        check_supported(model)
+        self.dt, self.columns, self.effects = float(model.opt.timestep), tuple(columns), tuple(effects)
+        self.addresses = [column_address(model, c) for c in columns]
+        self._model, self._data = mjx.put_model(model), mjx.make_data(model)
+        changed = {*fields, *(f for e in effects if in_fields(e) for f in e.effect.changes)}
+        self._ancestors = _ancestors(model)
+        # As in the C engine: a force held over a step of RK4 is that of the middle of the step.
+        self._lead = 0.5 * self.dt if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
+        self._rederive = bool(changed & _INERTIAL)
+        self._sensors = any(a.source == "sensordata" for a in self.addresses)
+        self._forced = [i for i, e in enumerate(effects) if not in_fields(e) and e.effect.uses("joint_force")]
+        self._pushed = [i for i, e in enumerate(effects) if e.effect.uses("body_force")]
+
+    def __call__(self, *args: Any) -> Float[Array, "samples columns"]:
+        """The columns of `trajectory`."""
+        return self.trajectory(*args)[0]
+
+    def trajectory(
+        self,
+        start: tuple[Float[Array, " nq"], Float[Array, " nv"], Float[Array, " na"]],
+        stamps: Float[Array, " samples"],
+        ctrl: Float[Array, "steps nu"],
+        fields: Mapping[str, Float[Array, "..."]],
+        parameters: Sequence[Parameters],
+        num_before: int = 0,
+    ) -> tuple[Float[Array, "samples columns"], Float[Array, "samples nq"], Float[Array, "samples nv"], Array]:
+        """Columns, qpos, qvel and act at the sample times; the first `num_before` commands precede the start."""
+        model = self.model(fields, parameters)
+        for placed, p in zip(self.effects, parameters, strict=True):
+            if placed.effect.uses("control"):
+                a = placed.element.ctrl
+                ctrl = ctrl.at[:, a].set(placed.effect.control(p, ctrl[:, a], self.dt, jnp))
+        qpos, qvel, act = start
+
+        def advance(state, u):
+            data = self._data.replace(qpos=state[0], qvel=state[1], act=state[2], qacc_warmstart=state[3],
+                                      time=state[4], ctrl=u)
+            after, sensors = self._step(model, data, parameters)
+            state = (after.qpos, after.qvel, after.act, after.qacc_warmstart, after.time)
+            return state, (after.qpos, after.qvel, after.act, sensors)
+
+        first = (qpos, qvel, act, jnp.zeros_like(qvel), stamps[0])
+        _, (*states, sensors) = jax.lax.scan(advance, first, ctrl[num_before:])
+        states = [jnp.concatenate([a[None], b]) for a, b in zip(start, states, strict=True)]
+        # Sensor values describe the state before the step; the last one is held.
+        series = {"qpos": states[0], "qvel": states[1], "sensordata": jnp.concatenate([sensors, sensors[-1:]])}
+        at = (stamps - stamps[0]) / self.dt
+        return self._read(series, stamps, parameters), *(_interpolate(s, at) for s in states)
+
+    def model(self, fields: Mapping[str, Float[Array, "..."]], parameters: Sequence[Parameters]) -> Any:
+        """The mjx.Model with varied fields, changed by effects, and the constants that follow from them."""
+        changed = {name: jnp.asarray(value, float) for name, value in fields.items()}
+        for placed, p in zip(self.effects, parameters, strict=True):
+            if in_fields(placed):
+                inside = {n: changed[n] if n in changed else _get(self._model, n) for n in placed.effect.changes}
+                changed |= placed.effect.fields(p, inside, placed.element, jnp)
+        model = self._model.tree_replace(changed)
+        return derived_constants(model, self._data, self._ancestors) if self._rederive else model
+
+    def _step(self, m, d, parameters):
+        """As mj_step; forces of effects are held over the step, those that MuJoCo has as damping are linearized."""
+        d = mjx.fwd_position(m, d)
+        d = mjx.sensor_pos(m, d) if self._sensors else d
+        m, d = self._joint_forces(m, d, parameters)
+        d = mjx.fwd_velocity(m, d)
+        d = mjx.sensor_vel(m, d) if self._sensors else d
+        d = self._body_forces(m, d, parameters)
+        d = mjx.fwd_acceleration(m, mjx.fwd_actuation(m, d))
+        d = mjx.solve(m, d) if d._impl.efc_J.size else d.replace(qacc=d.qacc_smooth)
+        d = mjx.sensor_acc(m, d) if self._sensors else d
+        return _integrate(m, d), d.sensordata
+
+    def _joint_forces(self, m, d, parameters):
+        force, damping = d.qfrc_applied, m.dof_damping
+        for i in self._forced:
+            effect, at = self.effects[i].effect, self.effects[i].element
+            v = d.qvel[at.dof]
+            q = d.qpos[at.qpos] + self._lead * v
+
+            def law(v, effect=effect, p=parameters[i], q=q):
+                return effect.joint_force(p, JointState(q, v, d.time + self._lead), jnp)
+
+            value = law(v)
+            if effect.changes:  # MuJoCo treats it as damping, implicitly: its slope joins the damping
+                slope = jax.jvp(law, (v,), (jnp.ones_like(v),))[1]
+                damping, value = damping.at[at.dof].add(-slope), value - slope * v
+            force = force.at[at.dof].add(value)
+        return m.replace(dof_damping=damping), d.replace(qfrc_applied=force)
+
+    def _body_forces(self, m, d, parameters):
+        wrench = d.xfrc_applied
+        for i in self._pushed:
+            body = self.effects[i].element.body
+            spin, lever = d.cvel[body, :3], d.xipos[body] - d.subtree_com[m.body_rootid[body]]
+            state = BodyState(d.cvel[body, 3:] + jnp.cross(spin, lever), d.time)
+            wrench = wrench.at[body, :3].add(self.effects[i].effect.body_force(parameters[i], state, jnp))
+        return d.replace(xfrc_applied=wrench)
+
+    def _read(self, series, stamps, parameters) -> Float[Array, "samples columns"]:
+        out = []
+        for column, address in zip(self.columns, self.addresses, strict=True):
+            acting = [(e.effect, p) for e, p in zip(self.effects, parameters, strict=True)
+                      if e.element.kind == "sensor" and e.element.column in (column, "time")]
+            times = stamps
+            for effect, p in acting:
+                times = effect.sample_time(p, times, jnp)
+            value = _interpolate(series[address.source][:, address.index], (times - stamps[0]) / self.dt)
+            for effect, p in acting:
+                value = effect.reading(p, stamps, value, jnp)
+            out.append(value)
+        return jnp.stack(out, -1)
+
+
+def in_fields(placed: PlacedEffect) -> bool:
+    """Whether the effect enters MJX through model fields."""
+    return bool(placed.effect.changes) and placed.effect.in_mjx_fields
+
+
+def derived_constants(model: Any, data: Any, ancestors: np.ndarray) -> Any:
+    """What mj_setConst computes from inertias and that the dynamics, limits, friction and sensors use."""
+    d = mjx.com_pos(model, mjx.kinematics(model, data.replace(qpos=model.qpos0)))
+    d = mjx.tendon_armature(model, mjx.crb(model, mjx.tendon(model, mjx.camlight(model, d))))
+    inverse = jnp.linalg.inv(mjx.full_m(model, d)) if model.nv else jnp.zeros((0, 0))
+    jacobians = jax.vmap(lambda point, body: mjx.jac(model, d, point, body))(d.xipos, jnp.arange(model.nbody))
+    body = jnp.stack([jnp.einsum("bik,ij,bjk->b", j, inverse, j) / 3 for j in jacobians], -1)
+    moving = jnp.asarray(model.body_weldid != 0)[:, None]
+    groups = _dof_groups(model)
+    tendon = jnp.einsum("ti,ij,tj->t", d._impl.ten_J, inverse, d._impl.ten_J)
+    moment = mjx.transmission(model, d)._impl.actuator_moment
+    return model.replace(
+        body_invweight0=jnp.where(moving, body, 0.0),
+        dof_invweight0=jnp.asarray(groups) @ jnp.diagonal(inverse),
+        tendon_invweight0=tendon,
+        actuator_acc0=jnp.linalg.norm(moment @ inverse, axis=-1) if model.nu else model.actuator_acc0,
+        body_subtreemass=jnp.asarray(ancestors) @ model.body_mass,
+    )
+
+
+def _dof_groups(model) -> Float[np.ndarray, "nv nv"]:
+    # Translations of a free joint share one weight, as do rotations of a free or ball joint.
+    groups = np.eye(model.nv)
+    for kind, dof in zip(model.jnt_type, model.jnt_dofadr, strict=True):
+        for shift in {0: (0, 3), 1: (0,)}.get(int(kind), ()):
+            groups[dof + shift : dof + shift + 3, dof + shift : dof + shift + 3] = 1 / 3
+    return groups
+
+
+def _ancestors(model: mujoco.MjModel) -> Float[np.ndarray, "nbody nbody"]:
+    # Row b has a one for every body of b's subtree.
+    out = np.eye(model.nbody)
+    for body in range(model.nbody - 1, 0, -1):
+        out[model.body_parentid[body]] += out[body]
+    return out
+
+
+def _with_tiny(model: mujoco.MjModel, nonzero: frozenset[tuple[str, int]]) -> mujoco.MjModel:
+    model = copy.copy(model)
+    for name, index in nonzero:
+        holder, leaf = (model.opt, name[4:]) if name.startswith("opt.") else (model, name)
+        value = np.array(getattr(holder, leaf), float)
+        flat = value.reshape(-1)
+        flat[index] = flat[index] or TINY
+        if value.ndim:
+            getattr(holder, leaf)[:] = value
+        else:
+            setattr(holder, leaf, float(value))
+    model.flg_gravcomp = bool(model.body_gravcomp.any())
+    return model
+
+
+def _integrate(m, d):
+    integrator = m.opt.integrator
+    if integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        return mjx.rungekutta4(m, d)
+    if integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
+        return mjx.implicit(m, d)
+    # C integrates damping implicitly only if some of it is positive.
+    damping = jnp.where(jnp.any(m.dof_damping > 0), m.dof_damping, 0.0)
+    return mjx.euler(m.replace(dof_damping=damping), d)
+
+
+def _get(model, name: str):
+    holder, _, leaf = name.rpartition(".")
+    return getattr(model.opt if holder == "opt" else model, leaf)
+
+
+def _interpolate(values: Float[Array, "steps *k"], at: Float[Array, " samples"]) -> Float[Array, "samples *k"]:
+    """Linear between steps; a little before the first step along the first step's slope."""
+    low = jnp.clip(jnp.floor(jax.lax.stop_gradient(at)).astype(int), 0, len(values) - 2)
+    share = jnp.expand_dims(at - low, tuple(range(1, values.ndim)))
+    return (1 - share) * values[low] + share * values[low + 1]

@@ -1,0 +1,151 @@
+"""From a misfit to the effects that remove it: screen, refine, add the best, again, then look back at each."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence
+from det2stoc_bayes.mismatch.horizon import extend
+from det2stoc_bayes.mismatch.screen import Screened, screen
+from det2stoc_bayes.optimize import Fit, Point, fit_many
+
+NUM_REFINED = 6
+LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
+MAX_EFFECTS = 3
+Progress = Callable[[str, int, int], None]  # stage, done, total
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A refined candidate and the evidence it gains over the fit without it."""
+
+    placed: PlacedEffect
+    fit: Fit
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Slot:
+    """One place in the list of effects: the fit without it and what could stand there, best first."""
+
+    base: Fit
+    screened: tuple[Screened, ...]
+    ranked: tuple[Ranked, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """The believed model's fit, the fit with all effects, and a slot for each of them."""
+
+    before: Fit
+    after: Fit
+    slots: tuple[Slot, ...]
+    num_candidates: int
+    share: float  # independent samples per sample
+
+
+def threshold(num_candidates: int) -> float:
+    """Evidence gain that an addition must reach, nats."""
+    return LEAST_GAIN + float(np.log(max(num_candidates, 1)))
+
+
+def look(base: Fit, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
+    """Screen every candidate beside a fit and refine the best."""
+    count = [0]
+
+    def advance(n: int) -> None:
+        count[0] += n
+        progress("screening effects", count[0], len(pool))
+
+    screened = screen(base, pool, advance)
+    return Slot(base, tuple(screened), tuple(refine(base, screened[:NUM_REFINED], progress)))
+
+
+def refine(base: Fit, screened: Sequence[Screened], progress: Progress) -> list[Ranked]:
+    """Joint Gauss-Newton of psi and each candidate, best evidence first; wrong-signed candidates are dropped."""
+    worth = [s for s in screened if s.log_evidence > 0]
+    points = []
+    for s in worth:
+        values = s.placed.effect.combine(s.trial, s.coefficients, s.placed.typical)
+        z = np.concatenate([base.point.z + s.change, s.placed.effect.to_normal(values, s.placed.typical)])
+        problem = base.problem.with_effects((*base.problem.effects, s.placed))
+        points.append((problem, Point(z, base.point.start)))
+    progress("refining the best", 0, len(worth))
+    fits = fit_many(points, tolerance=0.3) if points else []
+    progress("refining the best", len(worth), len(worth))
+    kept = [(s.placed, f) for s, f in zip(worth, fits, strict=True) if f is not None and _allowed(f)]
+    share = min((effective_share(f) for _, f in sorted(kept, key=lambda k: k[1].chi2)[:1]), default=1.0)
+    before = log_evidence(base, share)
+    return sorted((Ranked(p, f, log_evidence(f, share) - before) for p, f in kept), key=lambda r: -r.gain)
+
+
+def _allowed(fit: Fit) -> bool:
+    placed = fit.problem.effects[-1]
+    values = fit.problem.effect_values(fit.point.z[None])[-1]
+    return all(float(values[p.name][0]) > p.absent for p in placed.effect.parameters if p.positive)
+
+
+def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None) -> Explanation:
+    """Effects are added while the best still earns its evidence, then each is judged with the others in place."""
+    needed, current, last = threshold(len(pool)), before, None
+    for _ in range(MAX_EFFECTS + 1):
+        slot = look(current, pool, progress)
+        last = slot if last is None else last
+        if not slot.ranked or slot.ranked[0].gain < needed or len(current.problem.effects) == MAX_EFFECTS:
+            break
+        current = extend(slot.ranked[0].fit)
+    assert last is not None
+    if len(current.problem.effects) == 0:
+        return Explanation(before, before, (last,), len(pool), 1.0)
+    current = _prune(current, needed)
+    same = current.problem.segments.count == before.problem.segments.count
+    if len(current.problem.effects) == 1 and same:
+        return Explanation(before, current, (last,), len(pool), effective_share(current))
+    before = before if same else _refit(current, ())
+    slots = tuple(_judge(current, i, pool, progress) for i in range(len(current.problem.effects)))
+    return Explanation(before, current, slots, len(pool), effective_share(current))
+
+
+def _judge(final: Fit, i: int, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
+    """What could stand in place i of the list, the other effects staying; the present one competes too."""
+    others = tuple(e for k, e in enumerate(final.problem.effects) if k != i)
+    base = _refit(final, others)
+    slot = look(base, pool, progress)
+    own = Ranked(final.problem.effects[i], _reordered(final, i), 0.0)
+    own = replace(own, gain=log_evidence(own.fit, effective_share(final)) - log_evidence(base, effective_share(final)))
+    rest = [r for r in slot.ranked if r.placed != own.placed]
+    return replace(slot, ranked=tuple(sorted([own, *rest], key=lambda r: -r.gain)))
+
+
+def _keep(fit: Fit, effects: Sequence[PlacedEffect]) -> Point:
+    """A fit's unknowns without those of dropped effects."""
+    blocks, begin = {}, fit.problem.num_psi
+    for e in fit.problem.effects:
+        blocks[e] = fit.point.z[begin : begin + e.size]
+        begin += e.size
+    parts = [fit.point.z[: fit.problem.num_psi], *(blocks[e] for e in effects)]
+    return Point(np.concatenate(parts), fit.point.start)
+
+
+def _refit(fit: Fit, effects: Sequence[PlacedEffect]) -> Fit:
+    """The best fit with only some of the effects, on the same segments."""
+    found = fit_many([(fit.problem.with_effects(effects), _keep(fit, effects))], tolerance=0.3)[0]
+    return fit if found is None else found
+
+
+def _reordered(fit: Fit, i: int) -> Fit:
+    """The same fit with effect i last, as refinement leaves it."""
+    effects = [e for k, e in enumerate(fit.problem.effects) if k != i] + [fit.problem.effects[i]]
+    return fit if effects == list(fit.problem.effects) else _refit(fit, effects)
+
+
+def _prune(fit: Fit, needed: float) -> Fit:
+    """Drops effects that no longer earn their place beside the later ones."""
+    for placed in fit.problem.effects[:-1]:
+        rest = tuple(e for e in fit.problem.effects if e != placed)
+        without, share = _refit(fit, rest), effective_share(fit)
+        if log_evidence(fit, share) - log_evidence(without, share) < needed:
+            fit = without
+    return fit

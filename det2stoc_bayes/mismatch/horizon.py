@@ -1,0 +1,58 @@
+"""How long a stretch the simulator can be asked to predict: as long as its error stays small beside the motion."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from det2stoc_bayes.mismatch.evidence import whitened
+from det2stoc_bayes.optimize import Fit, fit_many, start_point
+from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.segments import cut
+
+SHORTEST = 20  # samples
+GROWTH = 4
+LARGEST_ERROR = 0.2  # of a column's spread: beyond it a linearization says little
+
+
+def ladder(problem: Problem) -> Iterator[int | None]:
+    """Numbers of samples to try in turn; None stands for whole recordings."""
+    longest = max(len(r.time) for r in problem.segments.recordings)
+    n = SHORTEST
+    while n * GROWTH <= longest:
+        yield n
+        n *= GROWTH
+    yield None
+
+
+def climb(problem: Problem, z: np.ndarray | None = None) -> Fit | None:
+    """The fit at the longest horizon whose error is still small, reached from short segments up."""
+    best: Fit | None = None
+    z = np.zeros(problem.size) if z is None else z
+    for n in ladder(problem):
+        at = problem.on(cut(problem.segments.recordings, n, problem.segments.columns))
+        fit = fit_many([(at, start_point(at, z))], tolerance=0.5)[0]
+        if fit is None or (best is not None and relative_error(fit) > LARGEST_ERROR):
+            break
+        best, z = fit, fit.point.z
+    return best
+
+
+def extend(fit: Fit) -> Fit:
+    """The same hypothesis at a longer horizon, where one has become possible."""
+    recordings = fit.problem.segments.recordings
+    whole = fit.problem.on(cut(recordings, None, fit.problem.segments.columns))
+    if fit.problem.segments.count == whole.segments.count:
+        return fit
+    longer = climb(fit.problem, fit.point.z)
+    return fit if longer is None or longer.problem.segments.count >= fit.problem.segments.count else longer
+
+
+def relative_error(fit: Fit) -> float:
+    """Largest residual rms of a column beside that column's spread."""
+    r = whitened(fit) * fit.problem.noise
+    with np.errstate(invalid="ignore"):
+        rms = np.sqrt(np.nanmean(r**2, axis=(0, 1)))
+        spread = np.nanstd(fit.problem.segments.values, axis=(0, 1))
+    signal = spread > 5 * fit.problem.noise  # a column that hardly moves says nothing about the horizon
+    return float(np.max(rms[signal] / spread[signal], initial=0.0))
+

@@ -1,0 +1,136 @@
+"""What a small change anywhere along a trajectory does to the samples after it.
+
+Along a fitted trajectory the simulation is a linear time-varying system: from sample to sample
+    dx' = A dx + B f + d,    dy' = C dx + D f + e,
+with f a generalized force held over the interval. A to D come from simulations one interval long, so that the
+response to any history of forces, and to any other effect by its defects d and e, costs no long simulation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.engines.base import EffectRows, Request, Start
+from det2stoc_bayes.layout import integrate_positions, position_difference
+from det2stoc_bayes.mismatch.effects.base import JointState, PlacedEffect
+from det2stoc_bayes.optimize import START_STEP, Fit
+from det2stoc_bayes.problem import merge_requests
+from det2stoc_bayes.segments import from_pieces
+
+NUM_INSIDE = 8  # points of an interval at which a force is averaged
+FORCE_STEP = 1e-3  # of the force that would change the speed by its own spread in one interval
+
+
+class Response:
+    """The linear time-varying system along a fit's trajectory. Shapes: S segments, K intervals, m state, y columns."""
+
+    def __init__(self, fit: Fit):
+        self.problem, self.point = fit.problem, fit.point
+        segments, model = self.problem.segments, self.problem.simulator.model
+        request = self.problem.request(self.point.z[None], self.point.start)
+        path = self.problem.simulator.engine.trajectory(request)
+        self.real = np.diff(segments.time, axis=1) > 0  # intervals that are not padding
+        self.shape = self.real.shape
+        self.pieces = [(int(segments.recording[s]), int(segments.first[s]) + k, int(segments.first[s]) + k + 2)
+                       for s, k in np.argwhere(self.real)]
+        self.intervals = from_pieces(segments.recordings, self.pieces, segments.columns)
+        s, k = np.nonzero(self.real)
+        self.begin = Start(path.qpos[s, k], path.qvel[s, k], path.act[s, k])
+        self.path, self.state_size = path, 2 * model.nv + model.na
+        self._linearize()
+
+    def _request(self, start: Start, extra: Sequence[tuple[PlacedEffect, dict[str, float]]] = ()) -> Request:
+        problem = replace(self.problem, segments=self.intervals)
+        request = problem.request(self.point.z[None], start)
+        rows = slice(0, len(self.pieces))
+        added = tuple(EffectRows(p, rows, {n: np.full(len(self.pieces), float(v)) for n, v in values.items()})
+                      for p, values in extra)
+        return replace(request, effects=(*request.effects, *added))
+
+    def _run(self, requests: Sequence[Request], origin=None):
+        """End states in tangent coordinates about `origin` (its first request's if None) and end samples."""
+        simulator = self.problem.simulator
+        path = simulator.engine.trajectory(merge_requests(requests))
+        count, model = len(self.pieces), simulator.model
+        ends = [x[:, -1] for x in (path.qpos, path.qvel, path.act)]
+        origin = [x[:count] for x in ends] if origin is None else origin
+        tiled = [np.tile(x, (len(requests), 1)) for x in origin]
+        state = np.concatenate([position_difference(model, tiled[0], ends[0]), ends[1] - tiled[1], ends[2] - tiled[2]], 1)
+        return state.reshape(len(requests), count, -1), path.columns[:, -1].reshape(len(requests), count, -1), origin
+
+    def _linearize(self) -> None:
+        problem, model = self.problem, self.problem.simulator.model
+        scale = np.concatenate([problem.guess.scale, np.ones(model.na)])
+        steps = START_STEP * scale
+        requests = [self._request(self.begin)]
+        for i in range(self.state_size):
+            change = np.zeros((len(self.pieces), self.state_size))
+            change[:, i] = steps[i]
+            requests.append(self._request(self._moved(change)))
+        state, column, self._origin = self._run(requests)
+        self._column = column[0]
+        a = np.moveaxis(state[1:] - state[0], 0, -1) / steps
+        c = np.moveaxis(column[1:] - column[0], 0, -1) / steps
+        self.a, self.c = self._spread(np.nan_to_num(a)), self._spread(np.nan_to_num(c))
+        self._forces = None
+
+    def _moved(self, change: np.ndarray) -> Start:
+        nv, model = self.problem.simulator.model.nv, self.problem.simulator.model
+        return Start(integrate_positions(model, self.begin.qpos, change[:, :nv]),
+                     self.begin.qvel + change[:, nv : 2 * nv], self.begin.act + change[:, 2 * nv :])
+
+    def _spread(self, values: np.ndarray) -> np.ndarray:
+        """Values of the real intervals laid out as (S, K, ...), zero in the padding."""
+        out = np.zeros((*self.shape, *values.shape[1:]))
+        out[self.real] = values
+        return out
+
+    def defects(self, trials: Sequence[tuple[PlacedEffect, dict[str, float]]]) -> tuple[np.ndarray, np.ndarray]:
+        """d (S, K, m, columns) and e (S, K, y, columns) of effects by simulating each interval with the effect on."""
+        state, column, _ = self._run([self._request(self.begin, [t]) for t in trials], self._origin)
+        return (self._spread(np.moveaxis(state, 0, -1)),
+                self._spread(np.moveaxis(column - self._column, 0, -1)))
+
+    def forced(self, dof: int, forces: Float[np.ndarray, "S K columns"]) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of generalized forces on one degree of freedom, held over each interval."""
+        b, d = self._force_response(dof)
+        return b[..., None] * forces[:, :, None], d[..., None] * forces[:, :, None]
+
+    def _force_response(self, dof: int):
+        if self._forces is None:
+            self._forces = {}
+        if dof not in self._forces:
+            probe = _unit_force(dof)
+            step = FORCE_STEP * self.problem.guess.scale[self.problem.simulator.model.nv + dof]
+            d, e = self.defects([(probe, {"force": step})])
+            self._forces[dof] = d[..., 0] / step, e[..., 0] / step
+        return self._forces[dof]
+
+    def joint_states(self, qpos: int, dof: int) -> JointState:
+        """Position, speed and time at points inside every interval (S, K, points), by cubic Hermite."""
+        time = self.problem.segments.time
+        q, v = self.path.qpos[..., qpos], self.path.qvel[..., dof]
+        h = np.diff(time, axis=1)[..., None]
+        u = (np.arange(NUM_INSIDE) + 0.5) / NUM_INSIDE
+        q0, q1, v0, v1 = q[:, :-1, None], q[:, 1:, None], v[:, :-1, None], v[:, 1:, None]
+        inside = ((1 + 2 * u) * (1 - u) ** 2 * q0 + u * (1 - u) ** 2 * h * v0
+                  + u**2 * (3 - 2 * u) * q1 + u**2 * (u - 1) * h * v1)
+        return JointState(inside, v0 + u * (v1 - v0), time[:, :-1, None] + u * h)
+
+    def propagate(self, d: np.ndarray, e: np.ndarray) -> Float[np.ndarray, "S values columns"]:
+        """Change of the samples (flat over samples and columns) caused by defects, starts held."""
+        count, intervals = self.shape
+        state = np.zeros((count, self.state_size, d.shape[-1]))
+        out = np.zeros((count, intervals + 1, e.shape[2], d.shape[-1]))
+        for k in range(intervals):
+            out[:, k + 1] = self.c[:, k] @ state + e[:, k]
+            state = self.a[:, k] @ state + d[:, k]
+        return out.reshape(count, -1, d.shape[-1])
+
+
+def _unit_force(dof: int) -> PlacedEffect:
+    from det2stoc_bayes.mismatch.effects import CATALOGUE, Element, Typical
+
+    return PlacedEffect(CATALOGUE["constant_force"], Element("joint", f"dof {dof}", dof=dof, qpos=0), Typical())

@@ -1,0 +1,186 @@
+"""What a method returns: one DataTree, the same groups and attributes for every method; to file and back."""
+
+import json
+import os
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from det2stoc_bayes.density import Density, constrained, log_prior
+from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.files import replacing
+from det2stoc_bayes.problem import Problem
+
+PACKAGES = (
+    "det2stoc-bayes",
+    "numpy",
+    "jax",
+    "mujoco",
+    "mujoco-mjx",
+    "numpyro",
+    "blackjax",
+    "emcee",
+    "arviz",
+    "xarray",
+)
+GROUPS = ("posterior", "unconstrained_posterior", "sample_stats", "observed_data", "log_likelihood")
+ATTRIBUTES = (
+    "method", "options", "seed", "versions", "seconds_compile", "seconds_run", "simulations", "gradients",
+)  # fmt: skip
+Progress = Callable[[int, int], None]  # done, of how many
+
+
+@dataclass
+class Cost:
+    """What a method used up, filled in by `measured`; the method itself reports its compilation."""
+
+    seconds_compile: float = 0.0
+    seconds_run: float = 0.0
+    simulations: int = 0
+    gradients: int = 0
+    _begun: tuple[float, int, int] = field(default=(0.0, 0, 0), repr=False)
+
+    def stop(self, problem: Problem) -> None:
+        """Read clock and counter."""
+        began, simulations, gradients = self._begun
+        self.seconds_run = time.perf_counter() - began - self.seconds_compile
+        self.simulations = problem.simulator.counter.simulations - simulations
+        self.gradients = problem.simulator.counter.gradients - gradients
+
+
+@contextmanager
+def measured(problem: Problem) -> Iterator[Cost]:
+    """Time and simulations of a method, from the search for the MAP on; libraries' warnings are silenced."""
+    counter = problem.simulator.counter
+    cost = Cost(_begun=(time.perf_counter(), counter.simulations, counter.gradients))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield cost
+
+
+def build(
+    density: Density,
+    z: Float[np.ndarray, "chain draw size"],
+    *,
+    method: str,
+    options: Mapping[str, Any],
+    seed: int,
+    cost: Cost,
+    sample_stats: Mapping[str, Any],
+    log_likelihood: Float[np.ndarray, "chain draw recordings"],
+) -> xr.DataTree:
+    """The DataTree of draws z. A statistic is an array (chain, draw), or one that brings its own dimensions."""
+    problem, lead = density.problem, ("chain", "draw")
+    flat = z.reshape(-1, density.size)
+    draws = {
+        variable_name(name): (lead, np.asarray(values).reshape(z.shape[:2]))
+        for name, values in constrained(problem, flat).items()
+    }
+    lp = (log_likelihood.sum(-1).reshape(-1) + log_prior(flat)).reshape(z.shape[:2])
+    stats = {"lp": lp} | dict(sample_stats)
+    recording = [r.name for r in problem.segments.recordings]
+    cost.stop(problem)
+    groups = {
+        "posterior": xr.Dataset(draws),
+        "unconstrained_posterior": xr.Dataset({"z": ((*lead, "unknown"), z)}, {"unknown": list(draws)}),
+        "sample_stats": xr.Dataset(
+            {k: v if isinstance(v, tuple) else (lead, np.asarray(v)) for k, v in stats.items()}
+        ),
+        "observed_data": observed_data(problem),
+        "log_likelihood": xr.Dataset(
+            {"values": ((*lead, "recording"), log_likelihood)}, {"recording": recording}
+        ),
+    }
+    for name in ("posterior", "unconstrained_posterior", "sample_stats", "log_likelihood"):
+        groups[name] = groups[name].assign_coords(chain=np.arange(z.shape[0]), draw=np.arange(z.shape[1]))
+    tree = xr.DataTree.from_dict(groups)
+    tree.attrs = {
+        "method": method,
+        "engine": problem.simulator.engine.name,
+        "options": json.dumps(dict(options), sort_keys=True),
+        "seed": seed,
+        "versions": json.dumps(versions(), sort_keys=True),
+        "seconds_compile": cost.seconds_compile,
+        "seconds_run": cost.seconds_run,
+        "simulations": cost.simulations,
+        "gradients": cost.gradients,
+    }
+    return tree
+
+
+def variable_name(name: str) -> str:
+    """An unknown's name in a DataTree, where a slash would mean a group."""
+    return name.replace("/", ".")
+
+
+def observed_data(problem: Problem) -> xr.Dataset:
+    """Recorded values and times by recording, padded with NaN."""
+    segments = problem.segments
+    count = len(segments.recordings)
+    lengths = [
+        sum(_length(segments, s) for s in np.flatnonzero(segments.recording == r)) for r in range(count)
+    ]
+    time = np.full((count, max(lengths)), np.nan)
+    values = np.full((*time.shape, len(segments.columns)), np.nan)
+    filled = [0] * count
+    for s, r in enumerate(segments.recording):
+        n, a = _length(segments, s), filled[r]
+        time[r, a : a + n], values[r, a : a + n] = segments.time[s, :n], segments.values[s, :n]
+        filled[r] = a + n
+    names = [r.name for r in segments.recordings]
+    return xr.Dataset(
+        {"time": (("recording", "sample"), time), "values": (("recording", "sample", "column"), values)},
+        {"recording": names, "column": list(segments.columns)},
+    )
+
+
+def _length(segments, s: int) -> int:
+    """Samples of a segment without its padding (which repeats the last time)."""
+    return int(np.searchsorted(segments.time[s], segments.time[s, -1])) + 1
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Installed versions of what a result depends on."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def save(tree: xr.DataTree, path: str | os.PathLike[str]) -> None:
+    """Write a DataTree, whole or not at all."""
+    with replacing(path) as temporary:
+        tree.to_netcdf(temporary, engine="h5netcdf")
+
+
+def load(path: str | os.PathLike[str]) -> xr.DataTree:
+    """Read a DataTree into memory; a Det2StocError where the file is missing, damaged or something else."""
+    path = Path(path)
+    if not path.is_file():
+        raise Det2StocError(f"{path}: no such file; allowed: a fit written by det2stoc (.nc)")
+    try:
+        with xr.open_datatree(path, engine="h5netcdf") as tree:
+            tree = tree.load()
+    except Exception as error:  # h5py, h5netcdf and xarray raise whatever they meet in a damaged file
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise Det2StocError(
+            f"{path}: cannot be read ({reason}); allowed: a fit written by det2stoc (.nc)"
+        ) from error
+    missing = [g for g in GROUPS if g not in tree.children] + [a for a in ATTRIBUTES if a not in tree.attrs]
+    if missing:
+        raise Det2StocError(f"{path}: lacks {', '.join(missing)}; allowed: a fit written by det2stoc (.nc)")
+    return tree

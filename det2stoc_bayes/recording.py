@@ -1,0 +1,194 @@
+"""One recorded trajectory, read from a file and checked against the model's names."""
+
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from det2stoc_bayes.errors import StudyError, listing
+from det2stoc_bayes.model_names import ModelNames
+from det2stoc_bayes.recording_files import Table, read_csv, read_parquet
+from det2stoc_bayes.suggestions import choices
+
+MOST_NORM_ERROR = 1e-2  # of a quaternion: rounding is normalised away, more is a mistake
+LEAST_SUSPECT_SPAN = 50.0  # rad, eight turns: more may be degrees
+DEGREES = math.degrees(1.0)
+
+
+class StudyWarning(UserWarning):
+    """Something in a study's files is allowed but looks like a mistake."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One trajectory: `values` holds the measured `columns`, NaN where a sample was dropped.
+
+    `ctrl` has one column per control of the model, in its order, 0 where the file has none; an empty cell
+    holds the value before it. The arrays are read-only.
+    """
+
+    name: str
+    time: Float[np.ndarray, " samples"]
+    columns: tuple[str, ...]
+    values: Float[np.ndarray, "samples columns"]
+    ctrl: Float[np.ndarray, "samples actuators"]
+    path: Path
+
+
+def read_recording(path: Path, names: ModelNames) -> Recording:
+    """The recording in a .csv or .parquet file; a StudyError names the line and column of what is wrong."""
+    label = f"{path.parent.name}/{path.name}"
+    readers = {".csv": read_csv, ".parquet": read_parquet}
+    if path.suffix.lower() not in readers:
+        raise StudyError(f"{label}: cannot read a '{path.suffix}' file; allowed: {listing(readers)}")
+    if not path.is_file():
+        raise StudyError(f"{label}: no such file; allowed: a .csv or .parquet file")
+    table = readers[path.suffix.lower()](path, label, partial(_check_header, names))
+    if len(table.cells) < 2:
+        found = "no sample" if len(table.cells) == 0 else "a single sample"
+        raise StudyError(f"{label}: found {found} below the header; allowed: at least 2")
+    time = _checked_time(table)
+    for column in table.header:
+        if np.isnan(table.column(column)).all():
+            raise table.fail(
+                f"column {column}: found no value at all; allowed: numbers (leave the column out)"
+            )
+    columns = tuple(c for c in table.header if c in names.columns)
+    values = np.stack([table.column(c) for c in columns], axis=1)
+    _normalise_quaternions(table, columns, values, names)
+    _warn(label, time, columns, values, names)
+    ctrl = _controls(table, names)
+    for data in (time, values, ctrl):
+        data.setflags(write=False)
+    return Recording(path.stem, time, columns, values, ctrl, path)
+
+
+def _check_header(names: ModelNames, label: str, header: tuple[str, ...]) -> None:
+    known = [*names.columns, *(f"ctrl/{name}" for name in names.actuators if name)]
+    if "time" not in header:
+        hint = " (cells are separated by commas)" if len(header) == 1 else ""
+        raise StudyError(
+            f"{label}: no column 'time'; found {listing(header)}{hint}; allowed: time, {listing(known)}"
+        )
+    for column in header:
+        if column not in known and column != "time":
+            raise StudyError(
+                f"{label}: unknown column '{column}'; {choices(column, ['time', *known], limit=20)}"
+            )
+    if not set(header) & set(names.columns):
+        raise StudyError(
+            f"{label}: no measured column; found {listing(header)}; allowed: {listing(names.columns, 20)}"
+        )
+    for prefix in names.quaternions:
+        parts = [f"{prefix}/{part}" for part in ("qw", "qx", "qy", "qz")]
+        missing = [part for part in parts if part not in header]
+        if 0 < len(missing) < 4:
+            raise StudyError(
+                f"{label}: incomplete quaternion, without {listing(missing)}; allowed: {listing(parts)}"
+            )
+
+
+def _checked_time(table: Table) -> Float[np.ndarray, " samples"]:
+    time = table.column("time").copy()
+    empty = np.flatnonzero(np.isnan(time))
+    if len(empty):
+        raise table.fail("column time: found nothing; allowed: a number in every line", int(empty[0]))
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if len(back):
+        before, after = float(time[back[0]]), float(time[back[0] + 1])
+        raise table.fail(
+            f"column time: found {after!r} after {before!r}; allowed: only increasing", int(back[0]) + 1
+        )
+    return time
+
+
+def _normalise_quaternions(
+    table: Table, columns: tuple[str, ...], values: Float[np.ndarray, "samples columns"], names: ModelNames
+) -> None:
+    """Make every quaternion in `values` a unit one, and drop those with an empty component, in place."""
+    for prefix in names.quaternions:
+        if f"{prefix}/qw" not in columns:
+            continue
+        parts = [columns.index(f"{prefix}/{part}") for part in ("qw", "qx", "qy", "qz")]
+        norm = np.sqrt((values[:, parts] ** 2).sum(axis=1))
+        wrong = np.flatnonzero(np.abs(norm - 1) > MOST_NORM_ERROR)
+        if len(wrong):
+            raise table.fail(
+                f"columns {prefix}/qw to /qz: found a quaternion of norm {norm[wrong[0]]:.6g}; allowed: 1 "
+                f"within {MOST_NORM_ERROR:g}",
+                int(wrong[0]),
+            )
+        partly: Bool[np.ndarray, " samples"] = np.isnan(norm) & ~np.isnan(values[:, parts]).all(axis=1)
+        if partly.any():
+            _tell(f"{table.label}: {prefix}: {partly.sum()} quaternions with an empty component are dropped")
+        values[:, parts] /= norm[:, None]
+        if np.isnan(norm).all():
+            raise table.fail(f"columns {prefix}/qw to /qz: none complete; allowed: 4 numbers")
+
+
+def _controls(table: Table, names: ModelNames) -> Float[np.ndarray, "samples actuators"]:
+    """The held controls; before its first value a control is that value, as it is before the recording."""
+    ctrl = np.zeros((len(table.cells), len(names.actuators)))
+    for j, name in enumerate(names.actuators):
+        if name and f"ctrl/{name}" in table.header:
+            given = table.column(f"ctrl/{name}")
+            present = np.flatnonzero(~np.isnan(given))
+            latest = np.searchsorted(present, np.arange(len(given)), side="right") - 1
+            ctrl[:, j] = given[present[np.maximum(latest, 0)]]
+    return ctrl
+
+
+def _tell(message: str) -> None:
+    warnings.warn(message, StudyWarning, stacklevel=4)
+
+
+def _warn(
+    label: str,
+    time: Float[np.ndarray, " samples"],
+    columns: tuple[str, ...],
+    values: Float[np.ndarray, "samples columns"],
+    names: ModelNames,
+) -> None:
+    """Tell what is allowed but suspicious."""
+    present = (~np.isnan(values)).sum(axis=0)
+    same = [
+        c
+        for c, v, n in zip(columns, values.T, present, strict=True)
+        if n > 1 and np.nanmin(v) == np.nanmax(v)
+    ]
+    if same:
+        _tell(f"{label}: constant over the whole recording: {listing(same)}")
+    degrees = list(_in_degrees(time, columns, values, names))
+    if degrees:
+        _tell(f"{label}: looks like degrees: {listing(degrees)}; angles are in rad")
+
+
+def _in_degrees(
+    time: Float[np.ndarray, " samples"],
+    columns: tuple[str, ...],
+    values: Float[np.ndarray, "samples columns"],
+    names: ModelNames,
+) -> Iterator[str]:
+    """Hinge positions that turn far while the joint's range, or the recorded speed, is 57 times smaller."""
+    for column in set(columns) & set(names.hinges):
+        position = values[:, columns.index(column)]
+        span = np.nanmax(position) - np.nanmin(position)
+        if span <= LEAST_SUSPECT_SPAN:
+            continue
+        limits, speed = names.hinges[column], column.replace("qpos/", "qvel/", 1)
+        if limits is not None and span > DEGREES / 4 * (limits[1] - limits[0]):
+            yield column
+        elif speed in columns:
+            recorded = np.nanmedian(np.abs(values[:, columns.index(speed)]))
+            moved = np.abs(np.diff(position) / np.diff(time))
+            moved = moved[np.isfinite(moved)]
+            if (
+                len(moved)
+                and abs(math.log(max(np.median(moved), 1e-300) / max(recorded, 1e-300) / DEGREES)) < 0.4
+            ):
+                yield column

@@ -1,0 +1,220 @@
+"""The page of a diagnosis: what was left out, where, how sure that is, and how much better the model got."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from det2stoc_bayes.report import contents, figures, marginals, numbers, page, series, varying
+
+WRITTEN = ("patched.xml", "effects.py", "fit.nc", "diagnosis.json")
+NAMES = {
+    "mismatch": {"before": "before", "after": "after"},
+    "inconclusive": {"before": "before", "after": "best candidate"},
+    "no_mismatch": {"before": "model, refitted"},
+}
+
+
+def diagnosis_page(
+    finding: Mapping[str, Any], fit: xr.DataTree, *, study_name: str, files: Sequence[str] = WRITTEN
+) -> str:
+    """The report as html text, from diagnosis.json's content and the fit; it neither samples nor simulates.
+
+    `files` names what was written beside the report. The groups of `fit` that the page draws are optional:
+    a section whose data are missing is left out.
+    """
+    rollouts = _rollouts(fit)
+    if not finding["where"]["when"]:
+        rollouts = {stem: data.drop_vars("condition", errors="ignore") for stem, data in rollouts.items()}
+    names = _names(finding["verdict"], fit, rollouts)
+    return page.render(
+        "diagnosis.html.j2",
+        title=f"{study_name}: {contents.BADGES[finding['verdict']].lower()}",
+        study=study_name,
+        finding=finding,
+        verdict=finding["verdict"],
+        badge=contents.BADGES[finding["verdict"]],
+        names=names,
+        effects=[_effect(effect) for effect in finding["effects"]],
+        candidates=contents.listed_candidates(finding["candidates"]),
+        negligible=_negligible(finding),
+        improvement=contents.improvement(finding["fit"], _units(rollouts)),
+        bayes_factor=numbers.bayes_factor(finding["evidence"]["log10_bayes_factor"]),
+        density=_density(finding["fit"]),
+        screening=contents.screening_rows(fit),
+        recordings=_recordings(rollouts, names),
+        omitted=len(rollouts) - len(series.selection(rollouts)[0]),
+        distribution=_distribution(rollouts, names),
+        **_posterior(finding, fit, names),
+        experiment=_experiment(finding["experiment"]),
+        sensitivity=finding.get("sensitivity") or [],
+        files=list(files),
+        number=numbers.number,
+        percent=numbers.percent,
+        duration=numbers.duration,
+        tied=numbers.tied,
+        words=contents.words,
+        place=contents.place,
+    )
+
+
+def _names(verdict: str, fit: xr.DataTree, rollouts: Mapping[str, xr.Dataset]) -> dict[str, str]:
+    """What the page calls the two models; the second one is dropped where the fit does not hold it."""
+    has_after = all("after" in data for data in rollouts.values()) if rollouts else "after" in fit
+    return {which: name for which, name in NAMES[verdict].items() if which == "before" or has_after}
+
+
+def _rollouts(fit: xr.DataTree) -> dict[str, xr.Dataset]:
+    if "rollouts" not in fit:
+        return {}
+    return {stem: node.to_dataset() for stem, node in fit["rollouts"].children.items()}
+
+
+def _units(rollouts: Mapping[str, xr.Dataset]) -> dict[str, str]:
+    """Unit of each channel, where the rollouts say it."""
+    found: dict[str, str] = {}
+    for data in rollouts.values():
+        if "unit" in data.coords:
+            found |= dict(zip(map(str, data["channel"].values), map(str, data["unit"].values), strict=True))
+    return found
+
+
+def _recordings(rollouts: Mapping[str, xr.Dataset], names: Mapping[str, str]) -> list[dict[str, Any]]:
+    """One entry a recording shown: its figures, the worst predicted channels apart from the others."""
+    stems, points = series.selection(dict(rollouts))
+    shown = []
+    for stem in stems:
+        data = rollouts[stem]
+        order = series.channel_order(data)
+        held_out = data.attrs.get("role") == "holdout"
+        shown.append(
+            {
+                "stem": stem,
+                "held_out": held_out,
+                "misfit": [numbers.number(series.misfit(data, which), 2) for which in names],
+                "condition": "condition" in data and bool(data["condition"].any()),
+                "panels": [
+                    {
+                        "channels": group,
+                        "rollout": page.embedded(figures.rollout_figure(data, group, names, points)),
+                        "residual": page.embedded(figures.residual_figure(data, group, names, points)),
+                    }
+                    for group in (order[: series.PANELS_OPEN], order[series.PANELS_OPEN :])
+                    if group
+                ],
+            }
+        )
+    return sorted(shown, key=lambda one: not one["held_out"])
+
+
+def _distribution(rollouts: Mapping[str, xr.Dataset], names: Mapping[str, str]) -> dict[str, Any] | None:
+    """All whitened residuals together: of the held-out recordings where there are any."""
+    held_out = [data for data in rollouts.values() if data.attrs.get("role") == "holdout"]
+    chosen = held_out or list(rollouts.values())
+    if not chosen:
+        return None
+    residuals = {}
+    for which in names:
+        values = np.concatenate([data[f"residual_{which}"].values.ravel() for data in chosen])
+        residuals[which] = values[np.isfinite(values)]
+    return {
+        "held_out": bool(held_out),
+        "samples": f"{residuals['before'].size:,}",
+        "rms": {
+            which: numbers.number(float(np.sqrt(np.mean(v**2))), 3)
+            for which, v in residuals.items()
+            if v.size
+        },
+        "beyond": {
+            which: numbers.percent(float(np.mean(np.abs(v) > 2)), 1)
+            for which, v in residuals.items()
+            if v.size
+        },
+        "histogram": page.embedded(figures.histogram_figure(residuals, names)),
+        "quantiles": page.embedded(figures.quantile_figure(residuals, names)),
+    }
+
+
+def _posterior(finding: Mapping[str, Any], fit: xr.DataTree, names: dict[str, str]) -> dict[str, Any]:
+    """Table rows and densities of psi and of the effects' parameters."""
+    psi, effects = marginals.marginals(fit)
+    spread = [
+        {"label": name, "figure": page.embedded(figure), "height": figure["layout"]["height"]}
+        for name, figure in varying.varying_figures(fit, names)
+    ]
+    rows = []
+    for one in psi:
+        conflict = finding["psi"].get(one.variable, {}).get("prior_conflict")
+        conflict = (
+            conflict if isinstance(conflict, float | int) else min(filter(None, conflict or []), default=None)
+        )
+        rows.append(
+            _marginal(one, names) | {"conflict": numbers.number(conflict, 2), "odd": (conflict or 1) < 0.05}
+        )
+    return {"psi": rows, "effect_parameters": [_marginal(one, names) for one in effects], "varying": spread}
+
+
+def _marginal(one: marginals.Marginal, names: dict[str, str]) -> dict[str, Any]:
+    return {
+        "label": one.title,
+        "unit": one.unit,
+        "before": one.row("before"),
+        "after": one.row("after"),
+        "shift": one.shift,
+        "prior": one.prior is not None,
+        "figure": page.embedded(marginals.density_figure(one, names)),
+    }
+
+
+def _effect(effect: Mapping[str, Any]) -> dict[str, Any]:
+    recordings = effect["recordings"]
+    return {
+        "name": contents.words(effect["name"]),
+        "place": contents.place(effect["element"]),
+        "statement": effect["statement"],
+        "law": contents.formula(effect["law"]),
+        "probability": numbers.percent(effect["probability"]),
+        "explains": numbers.percent(effect["explains"]),
+        "recordings": "all recordings" if recordings == "all" else ", ".join(recordings),
+        "parameters": contents.parameter_rows(effect["parameters"]),
+        "alternatives": contents.listed_candidates(effect["alternatives"]),
+        "equivalent": [
+            {
+                "name": contents.words(other["name"]),
+                "place": contents.place(other["element"]),
+                "parameters": contents.parameter_rows(other["parameters"]),
+            }
+            for other in effect["equivalent"]
+        ],
+    }
+
+
+def _negligible(finding: Mapping[str, Any]) -> list[dict[str, Any]]:
+    return [
+        {
+            "statement": one.get("statement")
+            or f"{contents.words(one['name'])} at {contents.place(one['element'])}",
+            "explains": numbers.percent(one.get("explains")),
+        }
+        for one in finding.get("negligible") or []
+    ]
+
+
+def _density(fit: Mapping[str, Any]) -> str:
+    before, after = fit["heldout_log_density_before"], fit["heldout_log_density_after"]
+    if before is None or after is None or before == after:
+        return ""
+    gain = numbers.plus_minus(fit["difference"], fit["standard_error"])
+    return f"{numbers.nats(before)} → {numbers.nats(after)} nats, a gain of {gain}"
+
+
+def _experiment(experiment: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    if experiment is None:
+        return None
+    return {
+        "text": experiment["text"],
+        "gain": numbers.number(experiment["expected_gain"], 2),
+        "input": contents.plain_items(experiment["input"]),
+        "initial_state": contents.plain_items(experiment["initial_state"]),
+    }

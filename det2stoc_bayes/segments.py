@@ -1,0 +1,93 @@
+"""Stretches of recordings that are simulated from a start of their own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from det2stoc_bayes.recording import Recording
+
+TIME_SLACK = 1e-6  # of a step: times that differ by less are the same
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Padded samples of several stretches. Rows of `time` are padded with their last value, of `values` with NaN."""
+
+    recordings: tuple[Recording, ...]
+    columns: tuple[str, ...]
+    recording: Int[np.ndarray, " segments"]
+    first: Int[np.ndarray, " segments"]
+    time: Float[np.ndarray, "segments samples"]
+    values: Float[np.ndarray, "segments samples columns"]
+
+    @property
+    def count(self) -> int:
+        """Number of segments."""
+        return len(self.recording)
+
+    @cached_property
+    def observed(self) -> Bool[np.ndarray, "segments samples columns"]:
+        """Where a value was recorded."""
+        return np.isfinite(self.values)
+
+    def steps(self, timestep: float) -> Int[np.ndarray, " segments"]:
+        """Simulation steps that reach each segment's last sample."""
+        return np.maximum(np.ceil((self.time[:, -1] - self.time[:, 0]) / timestep - TIME_SLACK).astype(int), 1)
+
+    def commands(
+        self, which: Int[np.ndarray, " rows"], timestep: float, num_steps: int, num_before: int = 0
+    ) -> Float[np.ndarray, "rows steps ctrl"]:
+        """The held command at every step of some segments, `num_before` steps before their start included.
+
+        A command takes effect at the first step at or after its time; before the first sample the first is held.
+        """
+        offsets = (np.arange(num_steps + num_before) - num_before) * timestep + TIME_SLACK * timestep
+        out = np.empty((len(which), len(offsets), self.recordings[0].ctrl.shape[1]))
+        owner = self.recording[which]
+        for r in np.unique(owner):
+            rows = np.flatnonzero(owner == r)
+            held = np.searchsorted(self.recordings[r].time, self.time[which[rows], :1] + offsets, side="right") - 1
+            out[rows] = self.recordings[r].ctrl[np.clip(held, 0, None)]
+        return out
+
+
+def all_columns(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Every column that some recording has, in order of first appearance."""
+    return tuple(dict.fromkeys(column for record in recordings for column in record.columns))
+
+
+def cut(
+    recordings: Sequence[Recording], num_samples: int | None = None, columns: tuple[str, ...] | None = None
+) -> Segments:
+    """Recordings cut into stretches of about `num_samples` samples; None leaves each whole.
+
+    Neighbours share no sample. A recording is divided evenly, so that no short rest is left over.
+    """
+    columns = all_columns(recordings) if columns is None else columns
+    pieces: list[tuple[int, int, int]] = []
+    for r, record in enumerate(recordings):
+        length = len(record.time)
+        parts = 1 if num_samples is None else max(1, round(length / num_samples))
+        edges = np.linspace(0, length, parts + 1).round().astype(int)
+        pieces += [(r, int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= 2]
+    return from_pieces(recordings, pieces, columns)
+
+
+def from_pieces(
+    recordings: Sequence[Recording], pieces: Sequence[tuple[int, int, int]], columns: tuple[str, ...]
+) -> Segments:
+    """Segments from (recording, first sample, sample after the last) triples."""
+    longest = max(b - a for _, a, b in pieces)
+    time = np.empty((len(pieces), longest))
+    values = np.full((len(pieces), longest, len(columns)), np.nan)
+    for s, (r, a, b) in enumerate(pieces):
+        record = recordings[r]
+        time[s, : b - a], time[s, b - a :] = record.time[a:b], record.time[b - 1]
+        for j, column in enumerate(record.columns):
+            if column in columns:
+                values[s, : b - a, columns.index(column)] = record.values[a:b, j]
+    index = np.array(pieces)
+    return Segments(tuple(recordings), columns, index[:, 0], index[:, 1], time, values)

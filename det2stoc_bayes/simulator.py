@@ -1,0 +1,135 @@
+"""A study's believed model, its uncertain parameters, and an engine that runs it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from det2stoc_bayes import layout
+from det2stoc_bayes.engines.base import Counter, Engine, Request
+from det2stoc_bayes.engines.mujoco_c import MujocoC
+from det2stoc_bayes.errors import EngineError
+from det2stoc_bayes.mismatch.effects.base import Element
+from det2stoc_bayes.model_names import compile_model, field_of
+from det2stoc_bayes.study import Parameter, Study, Target
+
+
+@dataclass(frozen=True)
+class FieldAddress:
+    """The components of an mjModel field that a target sets."""
+
+    field: str
+    places: tuple[tuple[int, ...], ...]  # indices into the field's array, one a component
+
+
+class Simulator:
+    """Fields from psi and from what is known of a recording, and simulations of them."""
+
+    def __init__(self, study: Study, engine: str = "c", num_threads: int = 0):
+        self.study = study
+        self.model = compile_model(study.model_path)
+        self.parameters = study.parameters
+        self.addresses = tuple(address(self.model, p.target, p.index) for p in study.parameters)
+        self.engine = _make_engine(self.model, engine, num_threads)
+        known = {t: address(self.model, t, None) for table in study.known.values() for t in table}
+        self._known = known
+        names = {a.field for a in (*self.addresses, *known.values())}
+        self._base = {name: np.asarray(model_field(self.model, name), dtype=float) for name in sorted(names)}
+
+    @property
+    def counter(self) -> Counter:
+        """Simulations run so far."""
+        return self.engine.counter
+
+    @property
+    def believed(self) -> Float[np.ndarray, " psi"]:
+        """Each parameter's value in the model file (its first component's)."""
+        return np.array([float(np.asarray(self._base[a.field])[a.places[0]]) for a in self.addresses])
+
+    def fields(
+        self, psi: Float[np.ndarray, "sims psi"], names: Sequence[str]
+    ) -> dict[str, Float[np.ndarray, "sims ..."]]:
+        """Model fields of each simulation; `names` are the recordings they follow."""
+        out = {k: np.broadcast_to(v, (len(psi), *v.shape)).copy() for k, v in self._base.items()}
+        stems = np.asarray(names)
+        for stem, table in self.study.known.items():
+            rows = np.flatnonzero(stems == stem)
+            for target, value in table.items():
+                where = self._known[target]
+                flat = np.broadcast_to(np.ravel(value), (len(where.places),)) if np.size(value) == 1 else np.ravel(value)
+                for place, component in zip(where.places, flat, strict=True):
+                    out[where.field][(rows, *place)] = component
+        for j, where in enumerate(self.addresses):
+            for place in where.places:
+                out[where.field][(slice(None), *place)] = psi[:, j]
+        return out
+
+    def rollout(self, request: Request) -> Float[np.ndarray, "sims samples columns"]:
+        """Predictions of the engine."""
+        return self.engine.rollout(request)
+
+    def elements(self, kind: str, columns: tuple[str, ...]) -> list[Element]:
+        """The model's elements of a kind that an effect can sit on."""
+        if kind == "joint":
+            return layout.joint_elements(self.model)
+        if kind == "body":
+            return layout.body_elements(self.model)
+        if kind == "actuator":
+            return layout.actuator_elements(self.model)
+        if kind == "sensor":
+            return layout.sensor_elements(self.model, columns)
+        return [Element("simulator", "option")] if kind == "simulator" else []
+
+
+def _make_engine(model: mujoco.MjModel, name: str, num_threads: int) -> Engine:
+    if name == "c":
+        return MujocoC(model, num_threads)
+    if name == "mjx":
+        from det2stoc_bayes.engines.mjx import Mjx
+
+        return Mjx(model)
+    raise EngineError(f"engine: unknown engine '{name}'; allowed: c, mjx")
+
+
+def model_field(model: mujoco.MjModel, name: str) -> np.ndarray:
+    """A field by the name it has in `mujoco.batch`, as `dof_damping` or `opt.gravity`."""
+    holder, _, leaf = name.rpartition(".")
+    return np.asarray(getattr(model.opt if holder == "opt" else model, leaf))
+
+
+def address(model: mujoco.MjModel, target: Target, index: tuple[int, ...] | None) -> FieldAddress:
+    """Where a validated target's components are in the model's arrays."""
+    field = field_of(target.kind, target.field)
+    values = model_field(model, field)
+    if target.kind == "opt":
+        places = [()] if values.ndim == 0 else [(i,) for i in (index or range(values.shape[0]))]
+        return FieldAddress(field, tuple(places))
+    rows = _rows(model, target, field)
+    inner = list(np.ndindex(values.shape[1:]))
+    chosen = [inner[i] for i in index] if index is not None else inner
+    return FieldAddress(field, tuple((row, *component) for row in rows for component in chosen))
+
+
+def _rows(model: mujoco.MjModel, target: Target, field: str) -> list[int]:
+    count = {"body": model.nbody, "joint": model.njnt, "geom": model.ngeom, "pair": model.npair,
+             "actuator": model.nu, "tendon": model.ntendon}[target.kind]
+    accessor = getattr(model, target.kind)
+    ids = range(count) if target.name == "*" else [accessor(target.name).id]
+    if target.kind == "joint" and field.startswith("dof_"):
+        width = {mujoco.mjtJoint.mjJNT_FREE: 6, mujoco.mjtJoint.mjJNT_BALL: 3}
+        return [int(model.jnt_dofadr[j]) + k for j in ids for k in range(width.get(int(model.jnt_type[j]), 1))]
+    if target.kind == "joint" and field in ("qpos_spring", "qpos0"):
+        return [int(model.jnt_qposadr[j]) for j in ids]
+    return [int(i) for i in ids]
+
+
+def recording_names(study: Study, segments_recordings: Sequence, which: Int[np.ndarray, " sims"]) -> list[str]:
+    """Stem of the recording behind each simulation."""
+    return [segments_recordings[r].name for r in which]
+
+
+def parameter_names(parameters: Sequence[Parameter]) -> tuple[str, ...]:
+    """Names of psi in order."""
+    return tuple(p.name for p in parameters)

@@ -1,0 +1,17 @@
+"""Inference methods by name: one module a method, each with `fit(problem, key, *, num_samples, ...) -> DataTree`."""
+
+from importlib import import_module
+from pkgutil import iter_modules
+from types import ModuleType
+
+from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.suggestions import choices
+
+METHODS: tuple[str, ...] = tuple(sorted(m.name for m in iter_modules(__path__) if not m.name.startswith("_")))
+
+
+def get_method(name: str) -> ModuleType:
+    """A method's module, imported now; a Det2StocError that lists the methods where there is none of this name."""
+    if name not in METHODS:
+        raise Det2StocError(f"method: unknown method '{name}'; {choices(name, METHODS, limit=20)}")
+    return import_module(f"{__name__}.{name}")

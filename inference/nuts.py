@@ -1,0 +1,78 @@
+"""The No-U-Turn sampler of NumPyro, preconditioned by the mode's Gaussian; all chains simulate in one batch."""
+
+import jax
+import numpy as np
+import xarray as xr
+
+from det2stoc_bayes.inference._sampling import (
+    Gradient,
+    Target,
+    advance,
+    as_key,
+    mode_of,
+    normal_draws,
+    numpy_random,
+    per_chain,
+    seed_of,
+    stacked,
+)
+from det2stoc_bayes.posterior import Progress, build, measured
+from det2stoc_bayes.problem import Problem
+
+
+def fit(
+    problem: Problem,
+    key: int | jax.Array,
+    *,
+    num_samples: int = 1000,
+    num_chains: int = 4,
+    num_warmup: int = 50,
+    target_accept: float = 0.8,
+    max_tree_depth: int = 8,
+    gradient: Gradient = "auto",
+    progress: Progress | None = None,
+) -> xr.DataTree:
+    """`num_samples` draws in all. The warm-up only tunes the step size, since the mass is the mode's precision."""
+    from numpyro.infer import NUTS
+
+    options = dict(num_samples=num_samples, num_chains=num_chains, num_warmup=num_warmup, target_accept=target_accept,
+                   max_tree_depth=max_tree_depth, gradient=gradient)  # fmt: skip
+    key = as_key(key)
+    with measured(problem) as cost:
+        mode, random = mode_of(problem), numpy_random(key)
+        target = Target(mode, random, gradient)
+        kernel = NUTS(
+            mode.density.numpyro_model(target.terms),
+            step_size=1.0,
+            inverse_mass_matrix={("z",): mode.scale @ mode.scale.T},
+            dense_mass=[("z",)],
+            adapt_mass_matrix=False,
+            target_accept_prob=target_accept,
+            max_tree_depth=max_tree_depth,
+        )
+        first = {"z": jax.numpy.asarray(normal_draws(mode, random, num_chains))}
+        state = kernel.init(jax.random.split(key, num_chains), num_warmup, first, (), {})
+        num_draws = per_chain(num_samples, num_chains)
+
+        def step(state):
+            state = kernel.sample(state, (), {})
+            return state, {
+                "z": state.z["z"],
+                "acceptance_rate": state.accept_prob,
+                "n_steps": state.num_steps,
+                "diverging": state.diverging,
+                "energy": state.energy,
+                "step_size": state.adapt_state.step_size,
+            }
+
+        total = num_warmup + num_draws
+        _, reports = advance(step, state, total, cost, progress)
+        if target.exact:
+            target.book(sum(int(r["n_steps"].sum()) for r in reports))
+        stats = stacked(reports[num_warmup:])
+        z = stats.pop("z")
+        stats["tree_depth"] = np.ceil(np.log2(stats["n_steps"] + 1)).astype(int)
+        return build(
+            mode.density, z, method="nuts", options=options, seed=seed_of(key), cost=cost, sample_stats=stats,
+            log_likelihood=target.by_recording(z),
+        )  # fmt: skip

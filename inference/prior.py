@@ -1,0 +1,25 @@
+"""Draws of the prior, with the declared likelihood of each."""
+
+import jax
+import xarray as xr
+
+from det2stoc_bayes.density import Density
+from det2stoc_bayes.inference._sampling import as_key, numpy_random, per_chain, seed_of
+from det2stoc_bayes.map import find_map
+from det2stoc_bayes.posterior import build, measured
+from det2stoc_bayes.problem import Problem
+
+NUM_CHAINS = 4  # independent draws; so that every method's result has the same shape
+
+
+def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000) -> xr.DataTree:
+    """`num_samples` independent draws."""
+    key = as_key(key)
+    with measured(problem) as cost:
+        density = Density.at(find_map(problem))
+        z = numpy_random(key).standard_normal((NUM_CHAINS, per_chain(num_samples, NUM_CHAINS), density.size))
+        terms = density.log_likelihood_by_recording(z.reshape(-1, density.size))
+        return build(
+            density, z, method="prior", options={"num_samples": num_samples}, seed=seed_of(key), cost=cost,
+            sample_stats={}, log_likelihood=terms.reshape(*z.shape[:2], -1),
+        )  # fmt: skip

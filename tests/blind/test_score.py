@@ -1,0 +1,129 @@
+"""Scoring: names, equivalents, verdicts, intervals."""
+
+import io
+import math
+import subprocess
+
+import pytest
+from rich.console import Console
+
+from det2stoc_bayes.blind import demo
+from det2stoc_bayes.blind.conceal import make_case
+from det2stoc_bayes.blind.score import score, score_table, summary
+
+
+def entry(name, kind, element, **parameters):
+    return {"name": name, "element": {"kind": kind, "name": element}, "parameters": parameters}
+
+
+def estimate(mean, low, high):
+    return {"mean": mean, "sd": (high - low) / 3.92, "interval": [low, high], "unit": "1"}
+
+
+ANSWER = {
+    "verdict": "mismatch",
+    "effects": [
+        entry("quadratic_damping", "joint", "rail", coefficient=0.5)
+        | {"accepted": [entry("quadratic_drag", "body", "carriage", coefficient=0.5)]}
+    ],
+    "psi": {"mass": 2.0, "stiffness": 60.0},
+}
+CONTROL = {"verdict": "no_mismatch", "effects": [], "psi": {}}
+DRAG = entry("quadratic_drag", "body", "carriage", coefficient=estimate(0.51, 0.45, 0.57))
+
+
+def claim(*effects, **more):
+    return {"verdict": "mismatch", "effects": list(effects), **more}
+
+
+def test_the_concealed_name_and_its_equivalents_are_right():
+    after = {"mass": {"after": {"mean": 2.1, "sd": 0.1}}, "stiffness": {"after": {"mean": 50.0, "sd": 1.0}}}
+    one = score(ANSWER, claim(DRAG, psi=after))
+    assert one.verdict and one.named and one.placed and not one.false_claim and one.covers
+    assert one.relative_error == pytest.approx(0.02) and one.relative_width == pytest.approx(0.24)
+    assert one.psi_covered == 0.5
+    listed = entry("cubic_stiffness", "joint", "rail", stiffness=estimate(1, 0, 2)) | {"equivalent": [DRAG]}
+    assert score(ANSWER, claim(listed)).named
+
+
+def test_wrong_claims():
+    wrong = score(ANSWER, claim(entry("coulomb_friction", "joint", "rail", force=estimate(1, 0, 2))))
+    assert wrong.verdict and wrong.placed and not wrong.named and wrong.false_claim
+    elsewhere = score(ANSWER, claim(entry("quadratic_damping", "joint", "elbow")))
+    assert not elsewhere.placed and not elsewhere.named
+    missed = score(ANSWER, {"verdict": "no_mismatch", "effects": []})
+    assert not missed.verdict and not missed.named and not missed.false_claim
+    unsure = score(ANSWER, {"verdict": "inconclusive", "effects": [], "candidates": [DRAG]})
+    assert unsure.listed and not unsure.verdict and not unsure.false_claim
+    both = score(ANSWER, claim(DRAG, entry("constant_force", "joint", "rail")))
+    assert not both.named and both.listed
+
+
+def test_controls():
+    assert score(CONTROL, {"verdict": "no_mismatch", "effects": []}).named
+    assert score(CONTROL, claim(DRAG)).false_claim
+
+
+def test_phases_wrap_and_amplitudes_flip():
+    truth = entry("cogging_torque", "joint", "x", amplitude=0.3, cycles=5.0, phase=3.0)
+    given = entry(
+        "cogging_torque",
+        "joint",
+        "x",
+        amplitude=estimate(-0.3, -0.32, -0.28),
+        cycles=estimate(5.0, 4.9, 5.1),
+        phase=estimate(3.0 - math.pi - 2 * math.pi, 2.9 - 3 * math.pi, 3.1 - 3 * math.pi),
+    )
+    one = score({**ANSWER, "effects": [truth]}, claim(given))
+    assert one.covers and one.relative_error == pytest.approx(0.0)
+
+
+def test_ratio_errors_are_relative_to_the_change():
+    truth = entry("actuator_gain", "actuator", "m", ratio=0.9)
+    given = entry("actuator_gain", "actuator", "m", ratio=estimate(0.91, 0.90, 0.92))
+    assert score({**ANSWER, "effects": [truth]}, claim(given)).relative_error == pytest.approx(0.1)
+
+
+def test_integration_needs_no_exact_timestep_and_worlds_no_name():
+    truth = entry("numerical_integration", "simulator", "option", timestep=0.005, integrator="RK4")
+    given = entry("numerical_integration", "simulator", "opt", timestep=estimate(0.00125, 0.001, 0.002))
+    one = score({**ANSWER, "effects": [truth]}, claim(given))
+    assert one.named and one.covers is None
+
+
+def test_summary_and_table():
+    scores = [
+        score(ANSWER, claim(DRAG)),
+        score(CONTROL, claim(DRAG)),
+        score(CONTROL, {"verdict": "no_mismatch"}),
+    ]
+    counts = summary(scores)
+    assert (counts["cases"], counts["named_right"], counts["controls"], counts["false_alarms"]) == (
+        1,
+        1,
+        2,
+        1,
+    )
+    assert score_table(scores, ["a", "b", "c"]).row_count == 3
+
+
+def test_demo_reports_a_failed_diagnosis(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(
+        demo, "make_case", lambda seed, **_: make_case(seed, control=True, num_recordings=1, num_samples=40)
+    )
+    monkeypatch.setattr(
+        demo.subprocess, "run", lambda command, check: subprocess.CompletedProcess(command, 3)
+    )
+    assert demo.main(["--seed", "9", "--out", str(tmp_path)]) == 3
+    assert "ended with code 3" in capsys.readouterr().out
+    assert (tmp_path / "demo-9" / "study" / "study.toml").is_file()
+
+
+def test_demo_reveals_both_sides():
+    case = make_case(4, system="pendulum", effect="constant_force", num_recordings=1, num_samples=60)
+    truth = case.answer["effects"][0]
+    given = entry("constant_force", "joint", "pivot", force=estimate(truth["parameters"]["force"], -9.0, 9.0))
+    console = Console(record=True, width=120, file=io.StringIO())
+    demo.reveal(case, claim(given, summary="A torque was left out."), console)
+    shown = console.export_text()
+    assert "constant_force" in shown and "[-9, 9]" in shown and "Right." in shown

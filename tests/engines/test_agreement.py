@@ -1,0 +1,166 @@
+"""Both engines on the same requests, and the derivatives of one against differences of the other."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from conftest import ARM, CARTPOLE, FREE, GENERAL, HINGE, MOTORS, SLIDE, blank_recording, make_study, model_xml, state_columns
+
+from det2stoc_bayes.engines.base import EffectRows, Request, Start
+from det2stoc_bayes.engines.mjx import Mjx
+from det2stoc_bayes.engines.mujoco_c import MujocoC
+from det2stoc_bayes.layout import actuator_elements, body_elements, joint_elements, sensor_elements
+from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect, Typical
+from det2stoc_bayes.problem import make_problem
+from det2stoc_bayes.segments import cut
+from det2stoc_bayes.simulator import Simulator
+
+TIME = np.arange(41) * 0.025  # 500 steps
+
+
+def agree(model, fields, effects_c=(), effects_mjx=None, num_sims=2, seed=0, tolerance=1e-6, columns=None):
+    """Both engines' values on the same starts and commands, compared relative to each column's size."""
+    rng = np.random.default_rng(seed)
+    ctrl = 0.5 * np.sin(np.outer(TIME, 2 + np.arange(model.nu)))
+    segments = cut([blank_recording(model, TIME, columns, ctrl)])
+    qpos = model.qpos0 + (0.2 if model.nq == model.nv else 0.0)
+    start = Start(np.tile(qpos, (num_sims, 1)), np.tile(rng.standard_normal(model.nv), (num_sims, 1)), np.zeros((num_sims, model.na)))
+    request = [Request(segments, np.zeros(num_sims, int), start, fields, e) for e in (effects_c, effects_mjx or effects_c)]
+    c, mjx = MujocoC(model).rollout(request[0]), Mjx(model).rollout(request[1])
+    scale = np.abs(c).max((0, 1)) + 1e-3
+    assert np.isfinite(c).all()
+    assert (np.abs(c - mjx) / scale).max((1, 2)) == pytest.approx(np.zeros(num_sims), abs=tolerance)
+    return c
+
+
+@pytest.mark.parametrize(
+    ("bodies", "rest", "integrator", "changes"),
+    [
+        (HINGE, "", "RK4", {"dof_damping": [0.2], "body_ipos": [[0, 0, 0], [0.1, 0.05, -0.2]]}),
+        (SLIDE, "", "Euler", {"jnt_stiffness": [50.0], "qpos_spring": [-0.2], "body_mass": [0, 2.0]}),
+        (CARTPOLE, "", "Euler", {"body_mass": [0, 2.0, 0.5], "dof_damping": [-0.1, 0.0], "opt.gravity": [1.0, 0, -5]}),
+        (ARM, MOTORS, "implicitfast", {"actuator_gear": [[3.0, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]], "dof_armature": [0.1, 0.05]}),
+        (ARM, GENERAL, "Euler", {"actuator_biasprm": [[0.5, -2, -0.2] + 7 * [0], 10 * [0]], "body_inertia": 3 * [[0.01, 0.02, 0.03]]}),
+        (FREE, "", "Euler", {"body_inertia": [[0, 0, 0], [2e-3, 5e-3, 8e-3]]}),
+    ],
+    ids=["hinge", "slide", "cartpole", "motors", "general", "free"],
+)
+def test_same_motion(compiled, bodies, rest, integrator, changes):
+    model = compiled(bodies, rest, integrator)
+    fields = {}
+    for name, value in changes.items():
+        base = np.array(model.opt.gravity if name == "opt.gravity" else getattr(model, name), float)
+        fields[name] = np.stack([base, np.reshape(value, base.shape)])
+    c = agree(model, fields)
+    assert np.abs(c[0] - c[1]).max() > 1e-2
+
+
+def test_derived_constants_follow_inertias(compiled):
+    # Friction, limits, weight compensation and air: all that has a weight derived from inertias, or is left out at 0.
+    bodies = ARM.replace('name="elbow"', 'name="elbow" range="-0.3 0.3" limited="true"')
+    model = compiled(bodies, MOTORS + '<sensor><subtreelinvel name="flow" body="upper"/><actuatorfrc name="effort" actuator="servo"/></sensor>')
+    changes = {"dof_frictionloss": [0.05, 0.08], "body_mass": [0, 2.0, 1.0], "body_inertia": 3 * [[0.02, 0.02, 0.03]],
+               "dof_armature": [0.2, 0.1], "actuator_gear": [[3.0, 0, 0, 0, 0, 0], [2, 0, 0, 0, 0, 0]],
+               "body_gravcomp": [0, 0.5, 0.8], "opt.density": 300.0, "body_ipos": [[0, 0, 0], [0.1, 0, 0.1], [0, 0.1, 0]]}
+    fields = {}
+    for k, (name, value) in enumerate(changes.items()):
+        base = np.array(model.opt.density if name == "opt.density" else getattr(model, name), float)
+        fields[name] = np.stack([base] * (len(changes) + 1))
+        fields[name][0 if k == 0 else k :] = np.reshape(value, base.shape) if k == 0 else base
+        fields[name][k] = np.reshape(value, base.shape)
+    columns = [*state_columns(model), "sensor/flow/0", "sensor/flow/2", "sensor/effort"]
+    c = agree(model, fields, num_sims=len(changes) + 1, columns=columns)
+    assert (np.abs(c[1:-1] - c[-1]).max((1, 2)) > 1e-3).all()
+
+
+VALUES = {"viscous_damping": [0.3], "coulomb_friction": [0.2], "quadratic_damping": [0.4], "joint_spring": [2.0, 0.3],
+          "cubic_stiffness": [1.5], "constant_force": [0.7], "armature": [0.05], "cogging_torque": [0.3, 9.0, 0.4],
+          "quadratic_drag": [0.6], "actuator_delay": [0.0333], "actuator_gain": [1.7], "sensor_bias": [0.1]}
+
+
+def placed_effects(model):
+    """Every effect of the catalogue with values, on the second element that it fits."""
+    elements = {"joint": joint_elements(model), "body": body_elements(model), "actuator": actuator_elements(model),
+                "sensor": sensor_elements(model, tuple(state_columns(model)))}
+    return [(PlacedEffect(CATALOGUE[name], elements[CATALOGUE[name].kind][1], Typical()),
+             {p.name: v for p, v in zip(CATALOGUE[name].parameters, values, strict=True)})
+            for name, values in VALUES.items()]
+
+
+def test_same_motion_with_every_effect(compiled):
+    model = compiled(ARM, MOTORS)
+    effects = placed_effects(model)
+    # The C engine runs each effect alone; MJX one program with all, of which one at a time is present.
+    alone = tuple(EffectRows(placed, slice(k, k + 1), {n: np.array([v]) for n, v in values.items()})
+                  for k, (placed, values) in enumerate(effects))
+    together = []
+    for k, (placed, values) in enumerate(effects):
+        absent = {p.name: p.absent for p in placed.effect.parameters}
+        rows = [values if k == row else absent for row in range(len(effects) + 1)]
+        together.append(EffectRows(placed, slice(0, len(rows)), {n: np.array([r[n] for r in rows]) for n in values}))
+    c = agree(model, {}, alone, tuple(together), num_sims=len(effects) + 1)
+    assert (np.abs(c[:-1] - c[-1]).max((1, 2)) > 1e-3).all()
+
+
+def test_derivatives(tmp_path):
+    toml = """
+[psi.mass]
+target = "body/lower/mass"
+prior = { Normal = { loc = 0.6, scale = 0.1 } }
+[psi.loss]
+target = "joint/elbow/frictionloss"
+prior = { HalfNormal = { scale = 0.1 } }
+[psi.down]
+target = "opt/gravity"
+index = [2]
+prior = { Normal = { loc = -9.8, scale = 0.1 } }
+"""
+    xml = model_xml(ARM, MOTORS)
+    time = np.arange(26) * 0.01
+    series = {c: 0.3 + 0.1 * np.sin(5 * time + i) for i, c in enumerate(state_columns(mujoco.MjModel.from_xml_string(xml)))}
+    series |= {"ctrl/turn": np.sin(9 * time), "ctrl/servo": 0.5 * np.cos(7 * time)}
+    study = make_study(tmp_path / "s", xml, toml, {"one": (time, series)})
+    c, mjx = Simulator(study), Simulator(study, "mjx")
+    chosen = ("quadratic_damping", "quadratic_drag", "actuator_delay", "sensor_bias")
+    effects = [p for p, _ in placed_effects(c.model) if p.effect.name in chosen]
+    values = [np.asarray(p.effect.to_normal(v, p.typical)) for p, v in placed_effects(c.model) if p.effect.name in chosen]
+    problem, other = (make_problem(s, num_samples=13).with_effects(effects) for s in (c, mjx))
+    z = np.concatenate([[0.3, 0.5, -0.2], *values])
+    start, states = problem.guess.start, 2 * c.model.nv
+    predict = mjx.engine.predict_fn(other, start)
+
+    def moved(x):  # the same change for every segment
+        return predict(x[: len(z)], jnp.tile(x[len(z) :], (problem.segments.count, 1)))
+
+    x = np.concatenate([z, np.zeros(states)])
+    # Values and derivatives from one program.
+    values, jacobian = jax.jit(jax.jacfwd(lambda x: (moved(x),) * 2, has_aux=True))(x)[::-1]
+
+    def run(x):
+        change = np.tile(x[len(z) :], (problem.segments.count, 1))
+        return c.rollout(problem.request(x[None, : len(z)], problem.moved(start, change)))
+
+    np.testing.assert_allclose(values, run(x), rtol=0, atol=1e-8)
+    for k in range(len(x)):
+        step = 1e-5 * np.eye(len(x))[k]
+        difference = (run(x + step) - run(x - step)) / 2e-5
+        assert np.abs(difference).max() > 1e-6
+        assert np.abs(difference - jacobian[..., k]).max() < 1e-4 * np.abs(difference).max()
+
+
+def test_derivatives_of_a_body_at_rest_are_finite(tmp_path):
+    xml = model_xml(FREE)
+    study = make_study(tmp_path / "s", xml, '[psi.mass]\ntarget = "body/stone/mass"\nprior = { Normal = { loc = 0.8 } }\n',
+                       {"one": (np.arange(4) * 0.004, {f"qpos/float/{p}": np.full(4, v) for p, v in {"z": 2, "qw": 1, "qx": 0, "qy": 0, "qz": 0}.items()})})
+    simulator = Simulator(study, "mjx")
+    problem = make_problem(simulator)
+    predict = simulator.engine.predict_fn(problem, problem.guess.start)
+    change = jnp.zeros((1, 12))
+    by_start = jax.jit(jax.jacfwd(lambda change: predict(jnp.zeros(1), change)))(change)
+    c = Simulator(study)
+    for k in (2, 4, 10):
+        step = np.zeros((1, 12))
+        step[0, k] = 1e-5
+        ends = [c.rollout(problem.request(np.zeros((1, 1)), problem.moved(problem.guess.start, s))) for s in (step, -step)]
+        np.testing.assert_allclose(by_start[..., 0, k], (ends[0] - ends[1]) / 2e-5, atol=1e-6)

@@ -1,0 +1,80 @@
+"""Every method of the registry keeps the same contract."""
+
+import inspect
+import json
+
+import numpy as np
+import pytest
+
+from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.inference import METHODS, get_method
+from det2stoc_bayes.posterior import ATTRIBUTES, GROUPS, load, save
+
+OWN = ("blackjax_nuts", "emcee", "laplace", "nuts", "prior")
+
+
+def test_registry_lists_the_methods():
+    assert set(OWN) <= set(METHODS)
+    with pytest.raises(Det2StocError, match="did you mean 'laplace'.*emcee"):
+        get_method("laplase")
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_options_are_explicit(name):
+    parameters = inspect.signature(get_method(name).fit).parameters
+    assert list(parameters)[:2] == ["problem", "key"]
+    rest = [p for p in parameters.values() if p.name not in ("problem", "key")]
+    assert all(p.kind is p.KEYWORD_ONLY and p.default is not p.empty for p in rest)
+    assert parameters["num_samples"].default == 1000
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_unknown_option_is_refused(name, gaussian_problem):
+    with pytest.raises(TypeError, match="num_sample"):
+        get_method(name).fit(gaussian_problem, 0, num_sample=10)
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_contract(name, fits, gaussian_problem, tmp_path):
+    tree = fits(name)
+    assert set(GROUPS) <= set(tree.children)
+    assert set(ATTRIBUTES) <= set(tree.attrs)
+    assert tree.attrs["method"] == name
+    assert json.loads(tree.attrs["options"])["num_samples"] == 1000
+    assert json.loads(tree.attrs["versions"])["mujoco"]
+    assert tree.attrs["seed"] == 1
+    assert tree.attrs["simulations"] > 0 and tree.attrs["seconds_run"] > 0
+    posterior = tree.posterior
+    assert tuple(posterior) == gaussian_problem.names == ("gravity_x", "gravity_z")
+    for variable in posterior.values():
+        assert variable.dims == ("chain", "draw")
+        assert np.isfinite(variable).all()
+    assert posterior.sizes["chain"] * posterior.sizes["draw"] >= 1000
+    terms = tree.log_likelihood["values"]
+    assert terms.dims == ("chain", "draw", "recording")
+    assert list(terms.recording.values) == ["slide_1", "slide_2"]
+    observed = tree.observed_data
+    np.testing.assert_array_equal(observed["values"], gaussian_problem.segments.values)
+    np.testing.assert_array_equal(observed["time"], gaussian_problem.segments.time)
+    z = tree.unconstrained_posterior.z.values
+    prior = -0.5 * (z**2).sum(-1) - np.log(2 * np.pi)
+    np.testing.assert_allclose(tree.sample_stats.lp, terms.sum("recording") + prior, rtol=1e-12)
+    save(tree, tmp_path / "fit.nc")
+    assert load(tmp_path / "fit.nc").identical(tree)
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_reproducible_from_key(name, gaussian_problem):
+    first, same, other = (
+        get_method(name).fit(gaussian_problem, key, num_samples=40).posterior.gravity_x for key in (5, 5, 6)
+    )
+    np.testing.assert_array_equal(first, same)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("name", ["nuts", "blackjax_nuts", "emcee"])
+def test_progress_is_reported(name, gaussian_problem):
+    seen = []
+    get_method(name).fit(gaussian_problem, 2, num_samples=20, progress=lambda done, of: seen.append((done, of)))
+    assert [done for done, _ in seen] == list(range(1, len(seen) + 1))
+    assert len({of for _, of in seen}) == 1

@@ -1,0 +1,44 @@
+"""Fits on file: whole or not at all, and a clear error for anything else."""
+
+import pytest
+import xarray as xr
+
+from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.posterior import load, observed_data, save
+from det2stoc_bayes.problem import make_problem
+
+
+def test_damaged_file(fits, tmp_path):
+    path = tmp_path / "fit.nc"
+    save(fits("laplace"), path)
+    content = path.read_bytes()
+    for damaged in (b"", b"not a file at all", content[: len(content) // 2]):
+        path.write_bytes(damaged)
+        with pytest.raises(Det2StocError, match="fit.nc: cannot be read"):
+            load(path)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(Det2StocError, match="no such file"):
+        load(tmp_path / "fit.nc")
+
+
+def test_file_of_something_else(tmp_path):
+    xr.DataTree.from_dict({"other": xr.Dataset({"x": 1})}).to_netcdf(tmp_path / "x.nc", engine="h5netcdf")
+    with pytest.raises(Det2StocError, match="lacks posterior"):
+        load(tmp_path / "x.nc")
+
+
+def test_failed_save_leaves_the_old_file(fits, tmp_path, monkeypatch):
+    path = tmp_path / "fit.nc"
+    path.write_text("old")
+    with pytest.raises(TypeError):
+        save(fits("laplace").assign_coords(bad=object()), path)
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["fit.nc"]
+
+
+def test_observed_data_joins_segments(gaussian_problem):
+    cut = make_problem(gaussian_problem.simulator, num_samples=7)
+    assert cut.segments.count > 2
+    xr.testing.assert_identical(observed_data(cut), observed_data(gaussian_problem))

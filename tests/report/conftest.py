@@ -1,0 +1,216 @@
+"""A diagnosis made up: an arm of two joints whose wrist has a dry friction that the model lacks."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from det2stoc_bayes.report import diagnosis_page
+
+CHANNELS = ("qpos/shoulder", "qpos/wrist", "qvel/shoulder", "qvel/wrist")
+NOISE = np.array([0.002, 0.008, 0.02, 0.05])
+UNITS = ("rad", "rad", "rad/s", "rad/s")
+WRIST = {"kind": "joint", "name": "wrist"}
+
+
+def make_finding(verdict: str) -> dict[str, Any]:
+    """The content of diagnosis.json for a verdict."""
+    finding: dict[str, Any] = {
+        "verdict": verdict,
+        "summary": "Dry friction of 0.31 ± 0.01 N m on joint wrist was left out; "
+        "with it the held-out error falls by 78 %.",
+        "evidence": {"log10_bayes_factor": 210.3, "noise_inflation": 41.0},
+        "where": {
+            "elements": [WRIST | {"share": 0.93}, {"kind": "joint", "name": "shoulder", "share": 0.05}],
+            "when": [{"condition": "abs(qvel/wrist) > 0.8", "share": 0.88}],
+        },
+        "effects": [_effect()],
+        "candidates": [],
+        "experiment": None,
+        "fit": _fit_numbers(),
+        "psi": {
+            "link_mass": {
+                "before": {"mean": 1.9, "sd": 0.1},
+                "after": {"mean": 1.2, "sd": 0.1},
+                "prior_conflict": 0.02,
+            },
+            "damping": {
+                "before": {"mean": 0.08, "sd": 0.001},
+                "after": {"mean": 0.05, "sd": 0.002},
+                "prior_conflict": 0.61,
+            },
+        },
+        "negligible": [
+            {"name": "sensor_bias", "element": {"kind": "sensor", "name": "qpos/wrist"}, "explains": 0.004}
+        ],
+        "seconds": 41.0,
+        "seed": 0,
+        "versions": {"mujoco": "3.17.0", "det2stoc-bayes": "0.1.0"},
+    }
+    if verdict != "mismatch":
+        finding |= {"effects": []}
+    if verdict == "no_mismatch":
+        finding |= _nothing_found()
+    if verdict == "inconclusive":
+        finding |= _open_question()
+    return finding
+
+
+def _effect() -> dict[str, Any]:
+    return {
+        "name": "coulomb_friction",
+        "element": WRIST,
+        "statement": "Dry friction of 0.31 ± 0.01 N m on joint wrist is missing.",
+        "law": "-F sign(v)",
+        "probability": 0.97,
+        "explains": 0.78,
+        "recordings": "all",
+        "parameters": {"force": {"mean": 0.31, "sd": 0.01, "interval": [0.29, 0.33], "unit": "N m"}},
+        "equivalent": [],
+        "alternatives": [
+            {"name": "stribeck_friction", "element": WRIST, "probability": 0.02},
+            {"name": "unlisted", "element": WRIST, "probability": 0.01},
+        ],
+    }
+
+
+def _fit_numbers() -> dict[str, Any]:
+    return {
+        "horizon_s": 2.0,
+        "heldout_log_density_before": -9120.0,
+        "heldout_log_density_after": -310.0,
+        "difference": 8810.0,
+        "standard_error": 220.0,
+        "rollout_rmse_before": dict(zip(CHANNELS, (0.0031, 0.04, 0.022, 0.31), strict=True)),
+        "rollout_rmse_after": dict(zip(CHANNELS, (0.0021, 0.009, 0.0202, 0.052), strict=True)),
+        "rollout_rmse_noise": dict(zip(CHANNELS, NOISE.tolist(), strict=True)),
+        "unexplained_share": 0.03,
+    }
+
+
+def _nothing_found() -> dict[str, Any]:
+    return {
+        "summary": "No physics is missing that these recordings could show: "
+        "rollouts of 2.0 s miss the held-out samples by the noise alone.",
+        "evidence": {"log10_bayes_factor": -1.2, "noise_inflation": 1.01},
+        "where": {"elements": [], "when": []},
+        "fit": _fit_numbers()
+        | {"rollout_rmse_before": dict(zip(CHANNELS, (0.002, 0.0081, 0.02, 0.051), strict=True))},
+        "sensitivity": [{"name": "coulomb_friction", "element": WRIST, "size": 0.0042, "unit": "N m"}],
+    }
+
+
+def _open_question() -> dict[str, Any]:
+    return {
+        "summary": "A mismatch at body hand explains 91 % of the error, but a payload and a wrong mass "
+        "cannot be told apart.",
+        "where": {"elements": [{"kind": "body", "name": "hand", "share": 0.91}], "when": []},
+        "candidates": [
+            {
+                "name": name,
+                "element": {"kind": "body", "name": "hand"},
+                "probability": p,
+                "parameters": {"mass": {"mean": 0.2, "sd": 0.013, "interval": [0.17, 0.23], "unit": "kg"}},
+            }
+            for name, p in (("payload_mass", 0.55), ("mass_error", 0.41))
+        ],
+        "experiment": {
+            "text": "Swing the wrist fast with the shoulder held at 90 degrees; "
+            "a payload shifts the period, a mass error does not.",
+            "input": {"ctrl/wrist": "chirp, 0.5 to 4 Hz, amplitude 2 N m, 5 s"},
+            "initial_state": {"qpos/shoulder": 1.57, "qpos/wrist": 0.0},
+            "expected_gain": 6.31,
+        },
+    }
+
+
+def make_fit(verdict: str, *, num_recordings: int = 4, num_samples: int = 900) -> xr.DataTree:
+    """A fit as the diagnosis hands it over; two of the recordings are held out."""
+    rng = np.random.default_rng(0)
+    by_recording = (("chain", "draw", "recording"), 0.3 + 0.02 * rng.standard_normal((4, 250, 3)))
+    grip = xr.Dataset({"grip": by_recording}, coords={"recording": ["drop_01", "drop_02", "drop_03"]})
+    nodes: dict[str, xr.Dataset] = {
+        "/before/posterior": _posterior(rng, link_mass=(1.9, 0.1), damping=(0.08, 0.001)),
+        "/after/posterior": _posterior(rng, link_mass=(1.2, 0.1), damping=(0.05, 0.002)),
+        "/before/prior": _posterior(rng, link_mass=(1.0, 0.4), damping=(0.06, 0.02)),
+        "/screening": _screening(rng, verdict),
+    }
+    for which in ("before", "after"):
+        nodes[f"/{which}/posterior"] = nodes[f"/{which}/posterior"].merge(grip)
+    if verdict == "mismatch":
+        force = _posterior(rng, **{"coulomb_friction[wrist].force": (0.31, 0.01)})
+        force["coulomb_friction[wrist].force"].attrs["unit"] = "N m"
+        nodes["/after/posterior"] = nodes["/after/posterior"].merge(force)
+    for k in range(num_recordings):
+        role = "holdout" if k < 2 else "recordings"
+        nodes[f"/rollouts/swing_{k:02d}"] = _rollout(rng, num_samples, role, wrong=verdict != "no_mismatch")
+    return xr.DataTree.from_dict(nodes)
+
+
+def _posterior(rng: np.random.Generator, **moments: tuple[float, float]) -> xr.Dataset:
+    draws = {
+        name: (("chain", "draw"), mean + sd * rng.standard_normal((4, 250)))
+        for name, (mean, sd) in moments.items()
+    }
+    return xr.Dataset(draws)
+
+
+def _rollout(rng: np.random.Generator, num_samples: int, role: str, *, wrong: bool) -> xr.Dataset:
+    time = 0.01 * np.arange(num_samples)
+    phase = rng.uniform(0, 6)
+    swing = np.exp(-0.1 * time) * np.sin(2 * time + phase)
+    truth = np.stack([0.5 * swing, swing, np.gradient(0.5 * swing, time), np.gradient(swing, time)], axis=1)
+    slip = 0.08 * np.exp(-0.05 * time) * np.sin(2 * time + phase + 1.1) * (1.0 if wrong else 0.0)
+    before = truth + np.stack([0.02 * slip, slip, 0.03 * slip, 2 * slip], axis=1)
+    observed = truth + NOISE * rng.standard_normal(truth.shape)
+    observed[num_samples // 3 : num_samples // 3 + 15, 1] = np.nan
+    sampled = ("sample", "channel")
+    return xr.Dataset(
+        {
+            "observed": (sampled, observed),
+            "before": (sampled, before),
+            "after": (sampled, truth),
+            "residual_before": (sampled, (observed - before) / NOISE),
+            "residual_after": (sampled, (observed - truth) / NOISE),
+            "noise_sd": ("channel", NOISE),
+            "condition": ("sample", np.abs(truth[:, 3]) > 0.8 if wrong else np.zeros(num_samples, bool)),
+        },
+        coords={"time": ("sample", time), "channel": list(CHANNELS), "unit": ("channel", list(UNITS))},
+        attrs={"role": role},
+    )
+
+
+def _screening(rng: np.random.Generator, verdict: str) -> xr.Dataset:
+    names = ["coulomb_friction", "stribeck_friction", "sensor_bias", *(f"effect_{i}" for i in range(40))]
+    evidence = np.concatenate([[484.0, 480.1, 9.0], -rng.gamma(2, 1, 40)])
+    probability = np.concatenate([[0.97, 0.02, 0.0], np.full(40, 1e-6)])
+    explains = np.concatenate([[0.78, 0.781, 0.004], np.full(40, -0.001)])
+    if verdict == "no_mismatch":
+        evidence, probability, explains = evidence * 0 - 1.3, probability * 0 + 0.001, explains * 0
+    kinds = ["joint", "joint", "sensor"] + ["joint"] * 40
+    elements = ["wrist", "wrist", "qpos/wrist"] + ["shoulder"] * 40
+    size = ["0.31 N m", "0.30 N m", "0.9 mrad"] + [""] * 40
+    columns = {"name": names, "kind": kinds, "element": elements, "size": size}
+    columns |= {"log_evidence": evidence, "probability": probability, "explains": explains}
+    return xr.Dataset({key: ("candidate", value) for key, value in columns.items()})
+
+
+@pytest.fixture(scope="module", params=["mismatch", "no_mismatch", "inconclusive"])
+def verdict(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture
+def finding(verdict: str) -> dict[str, Any]:
+    return make_finding(verdict)
+
+
+@pytest.fixture
+def fit(verdict: str) -> xr.DataTree:
+    return make_fit(verdict)
+
+
+@pytest.fixture(scope="module")
+def html(verdict: str) -> str:
+    return diagnosis_page(make_finding(verdict), make_fit(verdict), study_name="arm")

@@ -1,0 +1,247 @@
+"""The page of a diagnosis: complete, self-contained, safe with hostile names, and drawn by a browser."""
+
+import copy
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+import xarray as xr
+from plotly.offline import get_plotlyjs
+
+from det2stoc_bayes.mismatch.finding import Finding
+from det2stoc_bayes.report import diagnosis_page
+
+HEADINGS = {
+    "mismatch": [
+        "What was left out",
+        "Recordings and predictions",
+        "Explanations that were compared",
+        "Parameters",
+    ],
+    "no_mismatch": ["What was tried", "Recordings and predictions", "Parameters", "Use the model"],
+    "inconclusive": ["Candidates", "Recordings and predictions", "Explanations that were compared"],
+}
+ABSENT = {
+    "mismatch": ["What was tried", "What to record next"],
+    "no_mismatch": ["What was left out", "What to record next"],
+    "inconclusive": ["What was tried", "What was left out"],
+}
+SAYS = {
+    "mismatch": [
+        "Mismatch found",
+        "joint wrist",
+        "0.310 ± 0.010",
+        "97 %",
+        "10²¹⁰",
+        "83 % less",
+        "Stribeck friction",
+    ],
+    "no_mismatch": ["No mismatch found", "43 explanations tried", "What could have been seen", "0.0042"],
+    "inconclusive": [
+        "Inconclusive",
+        "payload mass",
+        "55 %",
+        "What to record next",
+        "Swing the wrist fast",
+        "6.3",
+    ],
+}
+
+
+class Page(HTMLParser):
+    """Tags, attributes and text of a page; fails on tags that do not match."""
+
+    VOID = {"meta", "br", "link", "img", "input", "hr"}
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.attributes: list[tuple[str, str, str | None]] = []
+        self.text: list[str] = []
+        self.figures: dict[str, str] = {}
+        self.current: str | None = None
+        self.feed(text.replace(get_plotlyjs(), ""))
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs) -> None:
+        self.attributes += [(tag, name, value) for name, value in attrs]
+        values = dict(attrs)
+        self.current = values["id"] if tag == "script" and values.get("type") == "application/json" else None
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data) -> None:
+        if self.current and self.open[-1] == "script":
+            self.figures[self.current] = self.figures.get(self.current, "") + data
+        elif self.open and self.open[-1] not in ("script", "style"):
+            self.text.append(data)
+
+    def words(self) -> str:
+        return " ".join("".join(self.text).replace("\u00a0", " ").split())
+
+    def ids(self) -> list[str]:
+        return [value for _, name, value in self.attributes if name == "id"]
+
+
+def test_the_fixture_is_a_valid_finding(finding) -> None:
+    Finding(**finding)
+
+
+def test_each_verdict_says_what_it_must(verdict, html) -> None:
+    words = Page(html).words()
+    assert [text for text in HEADINGS[verdict] + SAYS[verdict] if text not in words] == []
+    assert [text for text in ABSENT[verdict] if text in words] == []
+
+
+def test_nothing_is_loaded_and_the_file_is_small(html) -> None:
+    own = html.replace(get_plotlyjs(), "")
+    assert html.count(get_plotlyjs()) == 1 and len(html.encode()) < 8e6
+    assert not re.search(r"https?:|//cdn|@import|url\(", own)
+    loads = {"src", "href", "srcset", "action", "data"}
+    assert all(value.startswith("#") for _, name, value in Page(html).attributes if name in loads)
+    assert "default-src 'none'" in own
+
+
+def test_ids_are_unique_and_links_and_figures_find_theirs(html) -> None:
+    page = Page(html)
+    ids = page.ids()
+    assert len(ids) == len(set(ids))
+    targets = [
+        value for _, name, value in page.attributes if name in ("data-source", "aria-labelledby", "for")
+    ]
+    targets += [value[1:] for _, name, value in page.attributes if name == "href"]
+    assert set(targets) <= set(ids)
+    figures = [value for _, name, value in page.attributes if name == "data-source"]
+    assert figures and set(figures) == set(page.figures)
+
+
+def test_figures_are_json_with_theme_colours_alone(html) -> None:
+    styled = set(re.findall(r"(--[\w-]+):", html))
+    for text in Page(html).figures.values():
+        go.Figure(json.loads(text, parse_constant=pytest.fail))
+        assert set(re.findall(r"var\((--[\w-]+)\)", text)) <= styled
+        assert not re.search(r"#[0-9a-f]{6}|rgb\(", text)
+
+
+@pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
+def test_hostile_names_stay_text(finding, fit) -> None:
+    evil = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"
+    finding["summary"] = finding["effects"][0]["statement"] = finding["where"]["when"][0]["condition"] = evil
+    finding["effects"][0]["element"] = finding["where"]["elements"][0] = {
+        "kind": "joint",
+        "name": evil,
+        "share": 1.0,
+    }
+    finding["versions"] = {evil: evil}
+    nodes = {path: node.to_dataset() for path, node in fit.subtree_with_keys if node.has_data}
+    rollout = nodes["rollouts/swing_00"]
+    rollout = rollout.assign_coords(channel=[evil, *rollout["channel"].values[1:].tolist()])
+    nodes["rollouts/<img src=x onerror=alert(1)>"] = rollout
+    nodes["before/posterior"]["<img src=x onerror=alert(1)>"] = nodes["before/posterior"]["damping"]
+    page = Page(html := diagnosis_page(finding, xr.DataTree.from_dict(nodes), study_name=evil))
+    own = html.replace(get_plotlyjs(), "")
+    assert "<img" not in own and "<script>alert" not in own
+    assert not any(tag == "img" for tag, _, _ in page.attributes)
+    titles = [note["text"] for note in json.loads(page.figures["rollout-1-1"])["layout"]["annotations"]]
+    titles += [n["text"] for n in json.loads(page.figures["rollout-2-1"])["layout"]["annotations"]]
+    assert not any("<" in title for title in titles)
+
+
+def test_missing_parts_leave_their_sections_out(finding) -> None:
+    words = Page(diagnosis_page(finding, xr.DataTree(), study_name="arm", files=["patched.xml"])).words()
+    assert "Recordings and predictions" not in words and "Parameters" not in words
+    assert "import effects" not in words and "patched.xml" in words
+
+
+def test_null_numbers_are_printed_as_missing(finding, fit) -> None:
+    finding = copy.deepcopy(finding)
+    finding["evidence"] = {"log10_bayes_factor": None, "noise_inflation": None}
+    for key, value in finding["fit"].items():
+        finding["fit"][key] = dict.fromkeys(value) if isinstance(value, dict) else None
+    for element in finding["where"]["elements"]:
+        element["share"] = None
+    for effect in finding["effects"]:
+        effect["explains"] = None
+        effect["parameters"]["force"] |= {"mean": None, "sd": None, "interval": None}
+    words = Page(diagnosis_page(finding, fit, study_name="arm")).words()
+    assert "None" not in words and "nan" not in words.split()
+
+
+@pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
+def test_equivalent_effects_vectors_and_names_are_shown(finding, fit) -> None:
+    offset = {"mean": [0.1, 0.2, 0.3], "sd": [0.01] * 3, "interval": [[0, 1]] * 3, "unit": "m"}
+    finding["effects"][0]["equivalent"] = [
+        {
+            "name": "com_offset",
+            "element": {"kind": "body", "name": "hand"},
+            "parameters": {"offset": offset, "source": "elbow", "curve": {"x": [0.0], "y": [1.0]}},
+        }
+    ]
+    finding["psi"]["link_mass"]["prior_conflict"] = [0.2, None, 0.04]
+    words = Page(diagnosis_page(finding, fit, study_name="arm")).words()
+    assert "or equally com offset of body hand" in words
+    assert "(0.100 ± 0.010, 0.200 ± 0.010, 0.300 ± 0.010) m" in words
+    assert "elbow" in words and "conflicts with its prior" in words
+
+
+@pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
+def test_long_and_broken_recordings_fit_on_the_page(finding, fit) -> None:
+    nodes = {path: node.to_dataset() for path, node in fit.subtree_with_keys if node.has_data}
+    short = nodes["rollouts/swing_00"]
+    long = xr.concat([short] * 60, "sample", data_vars="minimal")
+    long = long.assign_coords(time=("sample", 0.01 * np.arange(long.sizes["sample"])))
+    dead = short.copy(deep=True)
+    dead["before"][:] = dead["residual_before"][:] = np.nan
+    dead["observed"][:, 0] = dead["noise_sd"][0] = np.nan
+    nodes |= {f"rollouts/long_{k}": long for k in range(20)} | {"rollouts/dead": dead}
+    html = diagnosis_page(finding, xr.DataTree.from_dict(nodes), study_name="arm")
+    assert len(html.encode()) < 8.5e6
+    Page(html)
+
+
+@pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
+def test_the_page_can_be_made_again_from_the_file(finding, fit, html, tmp_path) -> None:
+    fit.to_netcdf(tmp_path / "fit.nc")
+    with xr.open_datatree(tmp_path / "fit.nc") as read:
+        assert Page(diagnosis_page(finding, read, study_name="arm")).words() == Page(html).words()
+
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.mark.skipif(BROWSER is None, reason="needs a Chromium to draw the page")
+@pytest.mark.parametrize("scheme, paper", [(1, "rgb(253, 253, 251)"), (0, "rgb(20, 23, 26)")])
+@pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
+def test_a_browser_draws_every_figure(html, tmp_path, scheme, paper) -> None:
+    probe = """<script>addEventListener("load", () => {
+        const click = (id) => document.getElementById(id).click();
+        setTimeout(() => ["next", "previous", "next"].forEach(click), 2000);
+        setTimeout(() => {
+            const drawn = document.querySelectorAll(".js-plotly-plot").length;
+            const wide = document.documentElement.scrollWidth > innerWidth;
+            document.title = [drawn, wide, getComputedStyle(document.body).backgroundColor].join("|");
+        }, 4000);
+    })</script></body>"""
+    path = tmp_path / "report.html"
+    path.write_text(html.replace("</body>", probe), "utf-8")
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--window-size=1280,6000"]
+    options += [
+        "--virtual-time-budget=9000",
+        f"--user-data-dir={tmp_path / 'profile'}",
+        "--enable-logging=stderr",
+    ]
+    options += [f"--blink-settings=preferredColorScheme={scheme}", "--dump-dom", path.as_uri()]
+    done = subprocess.run([BROWSER, *options], capture_output=True, text=True, timeout=120)
+    drawn, wide, colour = re.search(r"<title>(\d+)\|(\w+)\|(.*?)</title>", done.stdout).groups()
+    never_shown = 2 * (html.count('class="recording"') - 2)
+    assert int(drawn) == html.count("data-source=") - never_shown
+    assert wide == "false" and colour == paper
+    assert not re.search(r"Content Security Policy|Uncaught|Refused to", done.stderr)
