@@ -78,17 +78,21 @@ def start_point(problem: Problem, z: Float[np.ndarray, " size"] | None = None) -
     return Point(np.zeros(problem.size) if z is None else np.asarray(z, float), problem.guess.start)
 
 
-def linearize(points: Sequence[tuple[Problem, Point]]) -> list[Linearization | None]:
-    """Predictions and finite-difference sensitivities of every hypothesis in one batch; None where they diverge."""
+def linearize(points: Sequence[tuple[Problem, Point]], *, unknowns: bool = True) -> list[Linearization | None]:
+    """Predictions and finite-difference sensitivities of every hypothesis in one batch; None where they diverge.
+
+    Without `unknowns` only the sensitivities to the initial states are computed, and the others are left empty.
+    """
     requests = []
     for problem, point in points:
         states = problem.guess.scale.shape[0]
-        variants = 1 + states + problem.size
+        variants = 1 + states + (problem.size if unknowns else 0)
         start = repeat_start(point.start, variants)
         change = np.zeros((variants, problem.segments.count, states))
         change[1 + np.arange(states), :, np.arange(states)] = (START_STEP * problem.guess.scale)[:, None]
         z = np.tile(point.z, (variants, 1))
-        z[1 + states + np.arange(problem.size), np.arange(problem.size)] += UNKNOWN_STEP
+        if unknowns:
+            z[1 + states + np.arange(problem.size), np.arange(problem.size)] += UNKNOWN_STEP
         moved = problem.moved(start, change.reshape(-1, states))
         requests.append(problem.request(z, moved))
     predicted = _simulate(points, requests)
@@ -163,6 +167,21 @@ def _improved(linear, steps, trials) -> dict[int, Linearization | None]:
     better = {i: p for i, p in zip(worse, found, strict=True) if p is not None}
     again = linearize([(linear[i].problem, p) for i, p in better.items()]) if better else []
     return full | dict.fromkeys(worse) | dict(zip(better, again, strict=True))
+
+
+def fit_starts(problem: Problem, z: Float[np.ndarray, " size"], *, num_iterations: int = 4) -> Linearization | None:
+    """The most probable initial states under fixed unknowns; None where the simulation diverges."""
+    point = start_point(problem, z)
+    lin = linearize([(problem, point)], unknowns=False)[0]
+    for _ in range(num_iterations):
+        if lin is None:
+            return None
+        moved = Point(point.z, problem.moved(lin.point.start, lin.latent.best_start(lin.stacked)))
+        after = linearize([(problem, moved)], unknowns=False)[0]
+        if after is None or _height(after, 1.0) >= _height(lin, 1.0) - 1e-3:
+            return lin
+        lin = after
+    return lin
 
 
 def _height(lin: Linearization, s2: float) -> float:

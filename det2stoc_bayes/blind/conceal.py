@@ -4,6 +4,7 @@ import argparse
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,7 @@ class ConcealedCase:
 
     seed: int
     study_files: dict[str, str]
-    answer: dict[str, object]
+    answer: dict[str, Any]
 
     def write(self, folder: Path) -> Path:
         """Write the study's files, and nothing of the answer."""
@@ -108,15 +109,15 @@ def _record(
     """Record fresh experiments with the effect on, add noise, and write everything as text."""
     system, psi, noise = probe.system, probe.psi, probe.system.noise()
     effect = found.effect if found else None
-    believed = found.believed if found and found.believed else ()
-    files = {"model.xml": system.xml(*believed), "study.toml": study_text(system)}
+    step, integrator = (found and found.believed) or (None, None)
+    files = {"model.xml": system.xml(step, integrator), "study.toml": study_text(system)}
     for folder, prefix, count in (("recordings", "rec", num_recordings), ("holdout", "hold", HOLDOUTS)):
         for index in range(1, count + 1):
             _, inputs, columns = experiment(rng, system, psi, effect, probe.times)
             columns = columns + noise * rng.standard_normal(columns.shape)
             text = csv_text(system, probe.times, columns, inputs)
             files[f"{folder}/{prefix}_{index:02d}.csv"] = text
-    answer: dict[str, object] = {
+    answer: dict[str, Any] = {
         "verdict": "no_mismatch" if effect is None else "mismatch",
         "system": system.name,
         "effects": [],

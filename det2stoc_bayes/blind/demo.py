@@ -57,7 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def reveal(case: ConcealedCase, diagnosis: Mapping[str, Any], console: Console) -> None:
     """Print the answer and the diagnosis side by side."""
-    answer: Mapping[str, Any] = case.answer
+    answer = case.answer
     table = Table(title=f"Seed {case.seed}, {answer['system']}")
     for heading in ("", "concealed", "diagnosed"):
         table.add_column(heading)

@@ -3,13 +3,15 @@
 Each is exact for these mechanisms, some only once psi is refitted ("mod psi").
 """
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
 from det2stoc_bayes.blind.laws import Effect
 from det2stoc_bayes.blind.systems import System
 
-Accepted = dict[str, object]
+Accepted = dict[str, Any]
 
 
 def _entry(name: str, kind: str, element: str, **parameters: object) -> Accepted:

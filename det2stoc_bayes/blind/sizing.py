@@ -116,11 +116,13 @@ def _tune(probe: Probe, shape: Shape, wanted: float) -> Found | None:
     """Search the effect's size until it changes the rollouts by `wanted` noise sds."""
     largest = LAWS[shape.pair[0]].largest
     magnitude, low, high = 0.03 * largest, 0.0, largest
-    for _ in range(14):
+    tries = 14
+    while True:
+        tries -= 1
         effect = shape.build(magnitude)
         changed = probe.with_effect(effect)
         reached = probe.size(changed)
-        if abs(reached / wanted - 1.0) < 0.05:
+        if abs(reached / wanted - 1.0) < 0.05 or not tries:
             break
         low, high = (magnitude, high) if reached < wanted else (low, magnitude)
         magnitude *= np.clip(wanted / max(reached, 1e-9), 0.02, 50.0)  # the change is nearly proportional

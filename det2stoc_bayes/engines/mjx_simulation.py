@@ -19,6 +19,7 @@ from det2stoc_bayes.mismatch.effects.base import BodyState, JointState, PlacedEf
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missing, which nothing here uses
     from mujoco import mjx
 
+SLOW_SPIN = 3e-8  # rad/s; MJX takes less than 1e-8 for no rotation at all, with no derivatives either
 TINY = 1e-12  # keeps a term in the program that MJX would leave out of it where the model has 0
 NEEDED_NONZERO = ("dof_frictionloss", "tendon_frictionloss", "body_gravcomp", "opt.density", "opt.viscosity", "opt.wind")
 _INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat", "jnt_pos", "jnt_axis",
@@ -50,6 +51,8 @@ class Simulation:
         # As in the C engine: a force held over a step of RK4 is that of the middle of the step.
         self._lead = 0.5 * self.dt if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
         self._rederive = bool(changed & _INERTIAL)
+        self._spins = [int(v) + {0: 3, 1: 0}[int(k)]
+                       for k, v in zip(model.jnt_type, model.jnt_dofadr, strict=True) if k < 2]
         self._sensors = any(a.source == "sensordata" for a in self.addresses)
         self._forced = [i for i, e in enumerate(effects) if not in_fields(e) and e.effect.uses("joint_force")]
         self._pushed = [i for i, e in enumerate(effects) if e.effect.uses("body_force")]
@@ -76,7 +79,7 @@ class Simulation:
         qpos, qvel, act = start
 
         def advance(state, u):
-            data = self._data.replace(qpos=state[0], qvel=state[1], act=state[2], qacc_warmstart=state[3],
+            data = self._data.replace(qpos=state[0], qvel=self._turning(state[1]), act=state[2], qacc_warmstart=state[3],
                                       time=state[4], ctrl=u)
             after, sensors = self._step(model, data, parameters)
             state = (after.qpos, after.qvel, after.act, after.qacc_warmstart, after.time)
@@ -99,6 +102,12 @@ class Simulation:
                 changed |= placed.effect.fields(p, inside, placed.element, jnp)
         model = self._model.tree_replace(changed)
         return derived_constants(model, self._data, self._ancestors) if self._rederive else model
+
+    def _turning(self, qvel: Float[Array, " nv"]) -> Float[Array, " nv"]:
+        for v in self._spins:
+            spin = qvel[v : v + 3]
+            qvel = qvel.at[v : v + 3].add(jnp.where(jnp.all(jnp.abs(spin) < SLOW_SPIN), SLOW_SPIN, 0.0))
+        return qvel
 
     def _step(self, m, d, parameters):
         """As mj_step; forces of effects are held over the step, those that MuJoCo has as damping are linearized."""

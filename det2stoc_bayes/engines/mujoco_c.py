@@ -56,7 +56,7 @@ class MujocoC:
             if timestep is not None:
                 model.opt.timestep = timestep
             if integrator is not None:
-                model.opt.integrator = mujoco.mjtIntegrator[f"mjINT_{integrator.upper()}"]
+                model.opt.integrator = mujoco.mjtIntegrator.__members__[f"mjINT_{integrator.upper()}"]
             self._models[key] = model
         return self._models[key]
 

@@ -110,8 +110,7 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
 
 def _judge(final: Fit, i: int, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
     """What could stand in place i of the list, the other effects staying; the present one competes too."""
-    others = tuple(e for k, e in enumerate(final.problem.effects) if k != i)
-    base = _refit(final, others)
+    base = without(final, i)
     slot = look(base, pool, progress)
     own = Ranked(final.problem.effects[i], _reordered(final, i), 0.0)
     own = replace(own, gain=log_evidence(own.fit, effective_share(final)) - log_evidence(base, effective_share(final)))
@@ -133,6 +132,11 @@ def _refit(fit: Fit, effects: Sequence[PlacedEffect]) -> Fit:
     """The best fit with only some of the effects, on the same segments."""
     found = fit_many([(fit.problem.with_effects(effects), _keep(fit, effects))], tolerance=0.3)[0]
     return fit if found is None else found
+
+
+def without(fit: Fit, i: int) -> Fit:
+    """The best fit without effect i."""
+    return _refit(fit, [e for k, e in enumerate(fit.problem.effects) if k != i])
 
 
 def _reordered(fit: Fit, i: int) -> Fit:

@@ -1,0 +1,46 @@
+"""Explanations that no recording of the study can tell apart, as one class with one probability."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from det2stoc_bayes.mismatch.evidence import probabilities, whitened
+from det2stoc_bayes.mismatch.explain import Ranked, Slot
+
+AGREEMENT = 0.3  # noise sds (rms) within which predictions agree
+LIKELIHOOD = 1.0  # nats within which the best fits agree
+
+
+@dataclass(frozen=True, eq=False)
+class Class:
+    """Members that predict alike, simplest first, and their probability together."""
+
+    members: tuple[Ranked, ...]
+    probability: float
+
+
+def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
+    """Refined candidates of one slot in equivalence classes, most probable first.
+
+    Members have as many parameters, fit equally well and predict alike. Their prior scales are conventions, so it is
+    the likelihood at the best fit that is compared, not the evidence, which those scales enter.
+    """
+    left = list(slot.ranked)
+    chance = dict(zip((id(r) for r in left), probabilities([r.gain for r in left], num_candidates), strict=True))
+    found = []
+    while left:
+        best = left[0]
+        members = [r for r in left if r is best or _equivalent(best, r, share)]
+        left = [r for r in left if not any(r is m for m in members)]
+        members.sort(key=lambda r: r.placed.effect.complexity)
+        found.append(Class(tuple(members), float(sum(chance[id(m)] for m in members))))
+    return sorted(found, key=lambda c: -c.probability)
+
+
+def _equivalent(a: Ranked, b: Ranked, share: float) -> bool:
+    if a.placed.size != b.placed.size:
+        return False
+    s2 = max(min(a.fit.noise_scale, b.fit.noise_scale), 1.0)
+    if 0.5 * share * abs(a.fit.chi2 - b.fit.chi2) / s2 > LIKELIHOOD:
+        return False
+    return float(np.sqrt(np.nanmean((whitened(a.fit) - whitened(b.fit)) ** 2) / s2)) < AGREEMENT

@@ -1,0 +1,114 @@
+"""How well recordings that were not fitted are predicted, before and after."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.optimize import Fit, fit_starts
+from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.recording import Recording
+from det2stoc_bayes.segments import cut
+
+WARM_UP = 0.1  # of a stretch: the samples from which its initial state is estimated
+LEAST_WARM_UP = 10  # samples
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Scores of one hypothesis, one entry a held-out recording, and the rollouts behind them."""
+
+    names: tuple[str, ...]
+    log_density: Float[np.ndarray, " recordings"]
+    chi2: Float[np.ndarray, " recordings"]  # whitened squared error, initial states integrated out
+    num_values: Float[np.ndarray, " recordings"]
+    squared_error: Float[np.ndarray, "recordings columns"]  # of rollouts beyond their warm-up
+    num_errors: Float[np.ndarray, "recordings columns"]
+    rollouts: dict[str, Float[np.ndarray, "samples columns"]]  # NaN where a rollout diverged
+
+    @property
+    def rmse(self) -> Float[np.ndarray, " columns"]:
+        """Root mean square error of each column over all rollouts."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.sqrt(self.squared_error.sum(0) / self.num_errors.sum(0))
+
+
+def horizon_samples(fit: Fit) -> int | None:
+    """Samples of a rollout: those of the fit's own stretches; None for whole recordings."""
+    segments = fit.problem.segments
+    if segments.count == len(segments.recordings):
+        return None
+    return int(np.median(np.isfinite(segments.values).any(2).sum(1)))
+
+
+def evaluate(fit: Fit, z_by_recording: dict[str, np.ndarray], recordings: tuple[Recording, ...]) -> HeldOut:
+    """Scores of recordings under the unknowns given for each of them."""
+    rows = [_one(fit, z_by_recording[r.name], r) for r in recordings]
+    names = tuple(r.name for r in recordings)
+    columns = [np.array(x) for x in zip(*[row[:5] for row in rows], strict=True)]
+    return HeldOut(names, *columns, {n: row[5] for n, row in zip(names, rows, strict=True)})
+
+
+def _one(fit: Fit, z: np.ndarray, recording: Recording):
+    """Log density, chi2 and its count, squared rollout errors and their counts, rollout of one recording."""
+    segments = cut((recording,), horizon_samples(fit), fit.problem.segments.columns)
+    problem = fit.problem.on(segments)
+    lin = fit_starts(problem, z)
+    width = len(segments.columns)
+    if lin is None:
+        nothing = np.full((len(recording.time), width), np.nan)
+        return -np.inf, np.inf, 1.0, np.full(width, np.inf), np.ones(width), nothing
+    _, _, square = lin.gram()
+    chi2 = float(square.sum())
+    predicted = _rollout(problem, z)
+    error = problem.residuals(predicted).reshape(segments.values.shape)
+    counted = segments.observed.copy()
+    for s in range(segments.count):
+        counted[s, : _warm(int(segments.observed[s].any(1).sum()))] = False
+    error = np.where(counted, error, 0.0)
+    path = np.concatenate([p[seen] for p, seen in zip(predicted, segments.observed.any(2), strict=True)])
+    return (lin.latent.log_normalizer - 0.5 * chi2, chi2, float(lin.degrees_of_freedom),
+            (error**2).sum((0, 1)), counted.sum((0, 1)).astype(float), path)
+
+
+def _warm(length: int) -> int:
+    return min(max(LEAST_WARM_UP, round(WARM_UP * length)), length // 2)
+
+
+def _rollout(problem: Problem, z: np.ndarray) -> Float[np.ndarray, "segments samples columns"]:
+    """Predictions from states estimated from each stretch's first samples."""
+    segments = problem.segments
+    first = segments.values.copy()
+    for s in range(segments.count):
+        first[s, _warm(int(segments.observed[s].any(1).sum())) :] = np.nan
+    lin = fit_starts(replace(problem, segments=replace(segments, values=first)), z)
+    start = problem.guess.start if lin is None else lin.point.start
+    return problem.simulator.rollout(problem.request(z[None], start))
+
+
+def leave_one_out(fit: Fit) -> dict[str, np.ndarray]:
+    """The unknowns refitted without each recording, by one Gauss-Newton step from the full fit."""
+    gram, slope, _ = fit.linear.gram()
+    owner, s2 = fit.problem.segments.recording, fit.noise_scale
+    out = {}
+    for r, recording in enumerate(fit.problem.segments.recordings):
+        keep = owner != r
+        precision = gram[keep].sum(0) / s2 + np.eye(fit.problem.size)
+        gradient = slope[keep].sum(0) / s2 - fit.point.z
+        step = np.linalg.solve(precision, gradient) if fit.problem.size else np.zeros(0)
+        out[recording.name] = fit.point.z + step
+    return out
+
+
+def held_out(fit: Fit) -> HeldOut:
+    """Scores on the study's held-out recordings, or, where it has none, on each recording left out in turn."""
+    study = fit.problem.simulator.study
+    if study.holdout:
+        return evaluate(fit, dict.fromkeys((r.name for r in study.holdout), fit.point.z), study.holdout)
+    return evaluate(fit, leave_one_out(fit), study.recordings)
+
+
+def fitted(fit: Fit) -> HeldOut:
+    """The same for the recordings that were fitted, for pictures."""
+    study = fit.problem.simulator.study
+    return evaluate(fit, dict.fromkeys((r.name for r in study.recordings), fit.point.z), study.recordings)

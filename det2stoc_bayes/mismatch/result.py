@@ -1,0 +1,80 @@
+"""A diagnosis as arrays: the DataTree that becomes fit.nc and feeds the report."""
+
+import numpy as np
+import xarray as xr
+
+from det2stoc_bayes.mismatch.explain import Slot
+from det2stoc_bayes.mismatch.finding import variable_name
+from det2stoc_bayes.mismatch.heldout import HeldOut
+from det2stoc_bayes.mismatch.where import Condition
+from det2stoc_bayes.optimize import Fit
+from det2stoc_bayes.recording import Recording
+
+NUM_CHAINS = 4
+
+
+def posterior(fit: Fit, z: np.ndarray) -> xr.Dataset:
+    """Draws of psi and effect parameters by name, dims chain and draw."""
+    out = {}
+    for name, values in fit.problem.constrained(z).items():
+        out[_variable(name)] = (("chain", "draw"), values.reshape(NUM_CHAINS, -1))
+    return xr.Dataset(out)
+
+
+def _variable(name: str) -> str:
+    if "[" not in name:
+        return name
+    effect, rest = name.split("[", 1)
+    element, parameter = rest.rsplit("].", 1)
+    return variable_name(effect, element, parameter)
+
+
+def rollouts(
+    fit: Fit, before: HeldOut, after: HeldOut, recordings: tuple[Recording, ...], role: str, when: list[Condition]
+) -> dict[str, xr.Dataset]:
+    """One dataset a recording: observed, predicted before and after, whitened residuals, where the condition holds."""
+    columns, noise = fit.problem.segments.columns, fit.problem.noise
+    out = {}
+    for r in recordings:
+        observed = np.full((len(r.time), len(columns)), np.nan)
+        for j, column in enumerate(r.columns):
+            observed[:, columns.index(column)] = r.values[:, j]
+        seen = slice(0, len(before.rollouts[r.name]))
+        paths = {"before": before.rollouts[r.name], "after": after.rollouts[r.name]}
+        data = {"observed": observed[seen]} | paths
+        data |= {f"residual_{k}": (observed[seen] - v) / noise for k, v in paths.items()}
+        variables = {k: (("sample", "channel"), v) for k, v in data.items()}
+        held = _holds(r, when)
+        if held is not None:
+            variables["condition"] = (("sample",), held[seen])
+        variables["noise_sd"] = (("channel",), noise)
+        coords = {"channel": list(columns), "time": (("sample",), r.time[seen])}
+        out[r.name] = xr.Dataset(variables, coords, {"role": role})
+    return out
+
+
+def _holds(recording: Recording, when: list[Condition]) -> np.ndarray | None:
+    """Where the first condition holds, if its variable was recorded."""
+    for condition in when:
+        if condition.variable in recording.columns:
+            return condition.holds(recording.values[:, recording.columns.index(condition.variable)])
+    return None
+
+
+def screening(slot: Slot, probability: dict[str, float], explains: dict[str, float]) -> xr.Dataset:
+    """Every candidate of the first slot with its evidence; refined ones with the refined figure."""
+    refined = {r.placed.label: r for r in slot.ranked}
+    rows = []
+    for s in slot.screened:
+        label, r = s.placed.label, refined.get(s.placed.label)
+        size = "" if r is None else ", ".join(
+            f"{p.name} {float(r.fit.problem.effect_values(r.fit.point.z[None])[-1][p.name][0]):.3g}"
+            for p in s.placed.effect.parameters)
+        rows.append((s.placed.effect.name, s.placed.element.kind, s.placed.element.name,
+                     s.log_evidence if r is None else r.gain, probability.get(label, 0.0),
+                     explains.get(label, np.nan), size))
+    rows.sort(key=lambda row: -row[3])
+    names = ("name", "kind", "element", "log_evidence", "probability", "explains", "size")
+    return xr.Dataset({n: (("candidate",), list(v)) for n, v in zip(names, zip(*rows, strict=True), strict=True)})
+
+

@@ -1,0 +1,85 @@
+"""Sentences and numbers of a finding, from fits and classes."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.mismatch import finding
+from det2stoc_bayes.mismatch.classes import Class
+from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.evidence import widened
+from det2stoc_bayes.optimize import Fit
+
+NUM_DRAWS = 1000
+INTERVAL = (2.5, 97.5)
+_WORDS = {
+    "viscous_damping": "Viscous damping", "coulomb_friction": "Dry friction", "quadratic_damping": "Quadratic damping",
+    "joint_spring": "A spring", "cubic_stiffness": "A hardening spring", "constant_force": "A constant force",
+    "armature": "Reflected inertia", "cogging_torque": "A torque ripple", "quadratic_drag": "Quadratic drag",
+    "actuator_delay": "A delay", "actuator_gain": "A gain", "sensor_bias": "An offset",
+    "numerical_integration": "A finer timestep",
+}  # fmt: skip
+
+
+def draws(fit: Fit, share: float, seed: int, num_draws: int = NUM_DRAWS) -> Float[np.ndarray, "draws size"]:
+    """Draws of the unknowns from Laplace's approximation at a fit."""
+    if fit.problem.size == 0:
+        return np.zeros((num_draws, 0))
+    factor = np.linalg.cholesky(widened(fit, share))
+    normal = np.random.default_rng(seed).standard_normal((num_draws, fit.problem.size))
+    return fit.point.z + normal @ factor.T
+
+
+def quantity(values: Float[np.ndarray, " draws"], unit: str, *, circular: bool = False) -> finding.Quantity:
+    """Mean, sd and 95 % interval of draws; an angle's about its circular mean."""
+    if circular:
+        centre = np.angle(np.exp(1j * values).mean())
+        values = centre + np.angle(np.exp(1j * (values - centre)))
+    low, high = np.percentile(values, INTERVAL)
+    return finding.Quantity(mean=float(values.mean()), sd=float(values.std()), interval=[float(low), float(high)], unit=unit)
+
+
+def parameters(fit: Fit, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Quantity]:
+    """An effect's parameters from draws of a fit's unknowns."""
+    slot = list(fit.problem.effects).index(placed)
+    values = fit.problem.effect_values(z)[slot]
+    return {
+        p.name: quantity(values[p.name], p.unit_on(placed.element), circular=p.name == "phase")
+        for p in placed.effect.parameters
+    }
+
+
+def rounded(q: finding.Quantity) -> str:
+    """`0.310 +- 0.012 N m`, with two digits of uncertainty."""
+    mean, sd = float(q.mean), float(q.sd)  # type: ignore[arg-type]
+    digits = max(0, 1 - int(np.floor(np.log10(sd)))) if sd > 0 else 3
+    unit = "" if q.unit == "1" else f" {q.unit}"
+    if digits > 6 or abs(mean) >= 1e6:
+        return f"{mean:.3g} +- {sd:.2g}{unit}"
+    return f"{mean:.{digits}f} +- {sd:.{digits}f}{unit}"
+
+
+def statement(placed: PlacedEffect, values: Mapping[str, finding.Quantity], equivalent: tuple[str, ...]) -> str:
+    """What is missing, where and how much, in a sentence."""
+    effect = placed.effect
+    sizes = ", ".join(f"{name} {rounded(q)}" for name, q in values.items())
+    if len(values) == 1:
+        sizes = rounded(next(iter(values.values())))
+    equally = f" (or equally {', '.join(equivalent)})" if equivalent else ""
+    word = _WORDS.get(effect.name, effect.name.replace("_", " ").capitalize())
+    verb = "is missing" if effect.kind not in ("sensor", "actuator") else "was left out"
+    return f"{word}{equally} of {sizes} on {placed.element.label} {verb}."
+
+
+def element(placed: PlacedEffect) -> finding.Element:
+    """Kind and name."""
+    return finding.Element(kind=placed.element.kind, name=placed.element.name)
+
+
+def alternatives(rest: list[Class], limit: int = 5) -> list[finding.Alternative]:
+    """The other classes by their simplest member."""
+    return [
+        finding.Alternative(name=c.members[0].placed.effect.name, element=element(c.members[0].placed), probability=c.probability)
+        for c in rest[:limit]
+    ]
