@@ -1,0 +1,60 @@
+"""Posteriors over simulator parameters, and the physics that a simulator leaves out.
+
+`load(folder)` reads a study, `check(study)` says what its recordings can identify, `fit(study)` gives the
+posterior, `diagnose(study)` finds what the believed model leaves out. Every error that a user can act on is a
+`Det2StocError`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from det2stoc_bayes.errors import (
+    Det2StocError,
+    EngineError,
+    MethodNotApplicable,
+    ModelError,
+    SimulationDiverged,
+    StudyError,
+)
+
+if TYPE_CHECKING:
+    from det2stoc_bayes.identifiability import check
+    from det2stoc_bayes.mismatch.diagnose import diagnose
+    from det2stoc_bayes.study import load_study as load
+    from det2stoc_bayes.verbs import fit
+
+# Looked up at first use, so that `import det2stoc_bayes` and `det2stoc --help` wait for no library.
+_LAZY = {
+    "check": "det2stoc_bayes.identifiability:check",
+    "diagnose": "det2stoc_bayes.mismatch.diagnose:diagnose",
+    "fit": "det2stoc_bayes.verbs:fit",
+    "load": "det2stoc_bayes.study:load_study",
+}
+
+__all__ = [
+    "Det2StocError",
+    "EngineError",
+    "MethodNotApplicable",
+    "ModelError",
+    "SimulationDiverged",
+    "StudyError",
+    "check",
+    "diagnose",
+    "fit",
+    "load",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("det2stoc-bayes")
+    if name not in _LAZY:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    module, _, attribute = _LAZY[name].partition(":")
+    return getattr(import_module(module), attribute)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,14 +1,14 @@
 """The declared likelihood, shared by all methods: given noise, initial states integrated out about the MAP.
 
-log p(y | z) = log normalizer - 1/2 |project(stack(y - prediction(z)))|^2, with starts and projection frozen at the
-MAP: every method then has the same target, however it moves.
+log p(y | z) = log normalizer - 1/2 |project(stack(y - prediction(z)))|^2, with starts and projection frozen
+at the MAP: every method then has the same target, however it moves.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -36,8 +36,8 @@ class Density:
     offset: Float[np.ndarray, "segments states"]  # guessed starts from the MAP's, in tangent coordinates
 
     @classmethod
-    def at(cls, fit: Fit) -> Self:
-        """Frozen at a fit's starts and linearization; the noise is the problem's, whatever scale the fit used."""
+    def at(cls, fit: Fit) -> "Density":
+        """Frozen at a fit's starts and linearization; the noise is the problem's, not the widened one."""
         linear, problem = fit.linear, fit.problem
         offset = linear.stacked[:, problem.weight.shape[1] :, 0] * linear.latent.prior_sd
         precision = linear.gram()[0].sum(0) + np.eye(problem.size)
@@ -132,7 +132,7 @@ class Density:
     def terms_and_grad(
         self, z: Float[np.ndarray, "points size"]
     ) -> tuple[Float[np.ndarray, "points recordings"], Float[np.ndarray, "points size"]]:
-        """log likelihood by recording and the gradient of its sum, by central differences along posterior axes."""
+        """log likelihood by recording; its sum's gradient by central differences along posterior axes."""
         terms, gradients = np.empty((len(z), self.problem.segments.count)), np.empty(z.shape)
         variants = 1 + 2 * self.size
         steps = np.concatenate([np.zeros((1, self.size)), STEP * self.scale.T, -STEP * self.scale.T])
@@ -148,9 +148,9 @@ class Density:
         return self.by_recording(terms), gradients
 
     def jax_log_density(self) -> Callable[[Any], Any]:
-        """log_density of one z for jax: traceable, vmapped chains in one batch, differentiable in reverse mode.
+        """log_density of one z for jax: traceable, chains under vmap in one batch, reverse mode.
 
-        Turns 64-bit mode on for the process: callbacks run on threads of their own, where a local setting is lost.
+        Turns 64-bit mode on for the process: callbacks run on other threads, where a local setting is lost.
         """
         from det2stoc_bayes.density_jax import jax_log_prior, jax_terms
 

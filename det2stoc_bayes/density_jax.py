@@ -1,7 +1,7 @@
 """A density as a jax function: callbacks into the C engine, or forward mode through MJX."""
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from det2stoc_bayes.likelihood import residuals
 Terms = Callable[[Array], Array]  # z (size) -> log likelihood by recording (recordings)
 
 
+@runtime_checkable
 class HasGradient(Protocol):
     """Values and gradients for a batch."""
 
@@ -58,7 +59,7 @@ class Remembered:
 def jax_terms(density: Density, source: HasGradient | None = None) -> Terms:
     """log likelihood by recording of one z, for jax.
 
-    Reverse mode returns the gradient of the sum: only functions of the sum of the terms may be differentiated.
+    Reverse mode returns the gradient of the sum: differentiate only functions of that sum.
     """
     jax.config.update("jax_enable_x64", True)
     if density.problem.simulator.engine.name == "mjx":

@@ -64,9 +64,10 @@ class Expansion:
     def terms_and_grad(
         self, z: Float[np.ndarray, "points size"]
     ) -> tuple[Float[np.ndarray, "points recordings"], Float[np.ndarray, "points size"]]:
-        """Exact log likelihood by recording; its gradient with this expansion's sensitivities: one simulation each.
+        """Exact log likelihood by recording; its gradient by this expansion's sensitivities.
 
-        Leapfrog steps with any force leave volumes alone, so that HMC accepted by exact values samples exactly.
+        One simulation a point. Leapfrog steps with any force leave volumes alone, so that HMC that accepts by
+        exact values samples exactly.
         """
         density, size = self.density, self.density.size
         projected = density.projected(z)
@@ -106,7 +107,7 @@ def expand(
 
 
 def find_mode(density: Density, *, max_iterations: int = 6) -> Expansion:
-    """The maximum of a density by Newton's method, expanded there; z = center + scale u makes u standard normal."""
+    """The maximum of a density by Newton's method, expanded there: u is about standard normal."""
     expansion = expand(density, density.center, density.scale)
     for _ in range(max_iterations):
         precision, gradient = expansion.precision, expansion.gradient

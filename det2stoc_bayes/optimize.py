@@ -13,6 +13,7 @@ from det2stoc_bayes.problem import Problem, merge_requests, repeat_start
 UNKNOWN_STEP = 1e-3  # of a prior sd: finite difference in an unknown
 START_STEP = 1e-4  # of a coordinate's spread: finite difference in an initial state
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
+SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
 LARGEST_STEP = 3.0  # prior sds in one iteration
 
 
@@ -143,8 +144,10 @@ def fit_many(points: Sequence[tuple[Problem, Point]], *, max_iterations: int = 8
         if not todo:
             break
         steps = {i: _newton_step(linear[i], free_scale) for i in todo}
-        trials = {i: _moved(linear[i], steps[i], 1.0) for i in todo}
-        for i, lin in _improved(linear, steps, trials).items():
+        for i in todo:
+            done[i] = not steps[i].gain > SETTLED * tolerance  # NaN included
+        trials = {i: _moved(linear[i], steps[i], 1.0) for i in todo if not done[i]}
+        for i, lin in _improved(linear, steps, trials, tolerance).items():
             done[i] = lin is None or steps[i].gain < tolerance
             linear[i] = linear[i] if lin is None else lin
     return [None if lin is None else summarize(lin, free_scale, ok) for lin, ok in zip(linear, done, strict=True)]
@@ -157,16 +160,20 @@ class _Step:
     s2: float
 
 
-def _improved(linear, steps, trials) -> dict[int, Linearization | None]:
+def _improved(linear, steps, trials, tolerance) -> dict[int, Linearization | None]:
     """Linearizations at the moved points; where a full step is no improvement, at the best fraction of it."""
+    if not trials:
+        return {}
     full = dict(zip(trials, linearize([(linear[i].problem, p) for i, p in trials.items()]), strict=True))
     worse = [i for i, lin in full.items() if lin is None or _height(lin, steps[i].s2) > _height(linear[i], steps[i].s2)]
-    if not worse:
+    full |= dict.fromkeys(worse)
+    search = [i for i in worse if steps[i].gain >= tolerance]
+    if not search:
         return full
-    found = _line_search([linear[i] for i in worse], [steps[i] for i in worse])
-    better = {i: p for i, p in zip(worse, found, strict=True) if p is not None}
+    found = _line_search([linear[i] for i in search], [steps[i] for i in search])
+    better = {i: p for i, p in zip(search, found, strict=True) if p is not None}
     again = linearize([(linear[i].problem, p) for i, p in better.items()]) if better else []
-    return full | dict.fromkeys(worse) | dict(zip(better, again, strict=True))
+    return full | dict(zip(better, again, strict=True))
 
 
 def fit_starts(problem: Problem, z: Float[np.ndarray, " size"], *, num_iterations: int = 4) -> Linearization | None:

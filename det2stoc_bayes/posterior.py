@@ -79,7 +79,7 @@ def build(
     sample_stats: Mapping[str, Any],
     log_likelihood: Float[np.ndarray, "chain draw recordings"],
 ) -> xr.DataTree:
-    """The DataTree of draws z. A statistic is an array (chain, draw), or one that brings its own dimensions."""
+    """The DataTree of draws z. A statistic is an array (chain, draw), or (dimensions, array)."""
     problem, lead = density.problem, ("chain", "draw")
     flat = z.reshape(-1, density.size)
     draws = {

@@ -1,4 +1,4 @@
-"""Inference methods by name: one module a method, each with `fit(problem, key, *, num_samples, ...) -> DataTree`."""
+"""Inference methods by name: one module a method, each with `fit(problem, key, *, ...) -> DataTree`."""
 
 from importlib import import_module
 from pkgutil import iter_modules
@@ -11,7 +11,7 @@ METHODS: tuple[str, ...] = tuple(sorted(m.name for m in iter_modules(__path__) i
 
 
 def get_method(name: str) -> ModuleType:
-    """A method's module, imported now; a Det2StocError that lists the methods where there is none of this name."""
+    """A method's module, imported now; a Det2StocError lists the methods where none has this name."""
     if name not in METHODS:
         raise Det2StocError(f"method: unknown method '{name}'; {choices(name, METHODS, limit=20)}")
     return import_module(f"{__name__}.{name}")

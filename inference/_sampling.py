@@ -57,9 +57,9 @@ def per_chain(num_samples: int, num_chains: int) -> int:
 class Target:
     """A density for gradient-based samplers, each point simulated once.
 
-    `gradient`: "finite" differences cost 2 size more simulations a step than the mode's "expansion", whose gradients
-    are approximate (the draws are exact with either, see `Expansion`); "auto" takes the expansion where it is good.
-    MJX has exact gradients and ignores the choice.
+    `gradient`: "finite" differences cost 2 size more simulations a step than the mode's "expansion", whose
+    gradients are approximate (the draws are exact with either, see `Expansion`); "auto" takes the expansion
+    where it is good. MJX has exact gradients and ignores the choice.
     """
 
     def __init__(self, mode: Expansion, random: np.random.Generator, gradient: Gradient = "auto"):
@@ -102,7 +102,7 @@ def _choose(mode: Expansion, random: np.random.Generator) -> Gradient:
 def advance(
     step: Callable[[Any], Any], state: Any, num_steps: int, cost: Cost, progress: Progress | None
 ) -> tuple[Any, list[Any]]:
-    """A state and what each of `num_steps` steps reports. `step(state) -> (state, report)` is compiled once."""
+    """A state and what each of `num_steps` steps reports; `step(state) -> (state, report)`."""
     begun = time.perf_counter()
     compiled = jax.jit(step).lower(state).compile()
     cost.seconds_compile += time.perf_counter() - begun

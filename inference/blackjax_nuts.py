@@ -1,4 +1,4 @@
-"""The No-U-Turn sampler of BlackJAX, preconditioned by the mode's Gaussian; all chains simulate in one batch."""
+"""The No-U-Turn sampler of BlackJAX, preconditioned by the mode's Gaussian; chains simulate in one batch."""
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ def fit(
     *,
     num_samples: int = 1000,
     num_chains: int = 4,
-    num_warmup: int = 50,
+    num_warmup: int = 40,
     target_accept: float = 0.8,
     max_tree_depth: int = 8,
     gradient: Gradient = "auto",
@@ -38,8 +38,14 @@ def fit(
     import blackjax
     from blackjax.adaptation.step_size import dual_averaging_adaptation
 
-    options = dict(num_samples=num_samples, num_chains=num_chains, num_warmup=num_warmup, target_accept=target_accept,
-                   max_tree_depth=max_tree_depth, gradient=gradient)  # fmt: skip
+    options = {
+        "num_samples": num_samples,
+        "num_chains": num_chains,
+        "num_warmup": num_warmup,
+        "target_accept": target_accept,
+        "max_tree_depth": max_tree_depth,
+        "gradient": gradient,
+    }
     key = as_key(key)
     with measured(problem) as cost:
         mode, random = mode_of(problem), numpy_random(key)
@@ -81,6 +87,12 @@ def fit(
         stats = stacked(reports[num_warmup:])
         z = np.asarray(stats.pop("z"))
         return build(
-            mode.density, z, method="blackjax_nuts", options=options, seed=seed_of(key), cost=cost, sample_stats=stats,
+            mode.density,
+            z,
+            method="blackjax_nuts",
+            options=options,
+            seed=seed_of(key),
+            cost=cost,
+            sample_stats=stats,
             log_likelihood=target.by_recording(z),
-        )  # fmt: skip
+        )

@@ -1,7 +1,7 @@
 """emcee's ensemble sampler: no gradients; every half of the ensemble is one batch of simulations.
 
-Moves: differential evolution, and independent draws of a wide Student-t at the mode, which reach anywhere at once
-where the posterior is near its Gaussian.
+Moves: differential evolution, and independent draws of a wide Student-t at the mode, which reach anywhere at
+once where the posterior is near its Gaussian.
 """
 
 import emcee
@@ -34,12 +34,16 @@ def fit(
     max_steps: int = 5000,
     progress: Progress | None = None,
 ) -> xr.DataTree:
-    """About `num_samples` thinned draws; walkers are the chains, so judge by `autocorrelation_time`, not by R-hat.
+    """At least `num_samples` thinned draws; walkers are the chains: judge by autocorrelation time, not R-hat.
 
-    It runs until `num_autocorrelation_times` have passed after the burn-in, or `max_steps`: `converged` says which.
+    It runs until `num_autocorrelation_times` have passed after the burn-in (`converged`), or `max_steps`.
     """
-    options = dict(num_samples=num_samples, num_walkers=num_walkers, max_steps=max_steps,
-                   num_autocorrelation_times=num_autocorrelation_times)  # fmt: skip
+    options = {
+        "num_samples": num_samples,
+        "num_walkers": num_walkers,
+        "num_autocorrelation_times": num_autocorrelation_times,
+        "max_steps": max_steps,
+    }
     key = as_key(key)
     with measured(problem) as cost:
         mode, random = mode_of(problem), numpy_random(key)
@@ -71,8 +75,16 @@ def fit(
             "converged": ((), converged),
         }
         terms = remembered.values(z.reshape(-1, problem.size)).reshape(*z.shape[:2], -1)
-        return build(mode.density, z, method="emcee", options=options, seed=seed_of(key), cost=cost,
-                     sample_stats=sample_stats, log_likelihood=terms)  # fmt: skip
+        return build(
+            mode.density,
+            z,
+            method="emcee",
+            options=options,
+            seed=seed_of(key),
+            cost=cost,
+            sample_stats=sample_stats,
+            log_likelihood=terms,
+        )
 
 
 def _independent(mode: Expansion):
@@ -89,7 +101,7 @@ def _independent(mode: Expansion):
 def _run(sampler, first, draws, num_times, max_steps, progress) -> tuple[Float[np.ndarray, " size"], bool]:
     """Autocorrelation times, and whether enough of them have passed."""
     time = np.full(first.shape[1], np.inf)
-    for state in sampler.sample(first, iterations=max_steps, store=True):
+    for _ in sampler.sample(first, iterations=max_steps, store=True):
         if progress is not None:
             progress(sampler.iteration, max_steps)
         if sampler.iteration % CHECK_EVERY:

@@ -13,7 +13,7 @@ NUM_CHAINS = 4  # independent draws; so that every method's result has the same 
 
 
 def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000) -> xr.DataTree:
-    """Draws of N(mode, inverse of the negative second derivatives); `log_weight` is log target - log Gaussian."""
+    """Draws of N(mode, inverse curvature); `log_weight` is log target - log Gaussian."""
     key = as_key(key)
     with measured(problem) as cost:
         mode = mode_of(problem)
@@ -25,6 +25,12 @@ def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000) -> x
         gaussian = log_prior(u) - np.log(np.diag(mode.scale)).sum()
         weight = (terms.sum(1) + log_prior(flat) - gaussian).reshape(z.shape[:2])
         return build(
-            density, z, method="laplace", options={"num_samples": num_samples}, seed=seed_of(key), cost=cost,
-            sample_stats={"log_weight": weight}, log_likelihood=terms.reshape(*z.shape[:2], -1),
-        )  # fmt: skip
+            density,
+            z,
+            method="laplace",
+            options={"num_samples": num_samples},
+            seed=seed_of(key),
+            cost=cost,
+            sample_stats={"log_weight": weight},
+            log_likelihood=terms.reshape(*z.shape[:2], -1),
+        )

@@ -1,9 +1,11 @@
-"""The No-U-Turn sampler of NumPyro, preconditioned by the mode's Gaussian; all chains simulate in one batch."""
+"""The No-U-Turn sampler of NumPyro, preconditioned by the mode's Gaussian; chains simulate in one batch."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from det2stoc_bayes.density_jax import jax_log_prior
 from det2stoc_bayes.inference._sampling import (
     Gradient,
     Target,
@@ -26,38 +28,45 @@ def fit(
     *,
     num_samples: int = 1000,
     num_chains: int = 4,
-    num_warmup: int = 50,
+    num_warmup: int = 40,
     target_accept: float = 0.8,
     max_tree_depth: int = 8,
     gradient: Gradient = "auto",
     progress: Progress | None = None,
 ) -> xr.DataTree:
-    """`num_samples` draws in all. The warm-up only tunes the step size, since the mass is the mode's precision."""
+    """`num_samples` draws in all. The warm-up tunes the step size alone: the mass is the mode's precision."""
     from numpyro.infer import NUTS
 
-    options = dict(num_samples=num_samples, num_chains=num_chains, num_warmup=num_warmup, target_accept=target_accept,
-                   max_tree_depth=max_tree_depth, gradient=gradient)  # fmt: skip
+    options = {
+        "num_samples": num_samples,
+        "num_chains": num_chains,
+        "num_warmup": num_warmup,
+        "target_accept": target_accept,
+        "max_tree_depth": max_tree_depth,
+        "gradient": gradient,
+    }
     key = as_key(key)
     with measured(problem) as cost:
         mode, random = mode_of(problem), numpy_random(key)
         target = Target(mode, random, gradient)
+        # `Density.numpyro_model` in its unconstrained form, which spares NumPyro's search of sites.
         kernel = NUTS(
-            mode.density.numpyro_model(target.terms),
+            potential_fn=lambda z: -(target.terms(z).sum() + jax_log_prior(z)),
             step_size=1.0,
-            inverse_mass_matrix={("z",): mode.scale @ mode.scale.T},
-            dense_mass=[("z",)],
+            inverse_mass_matrix=jnp.asarray(mode.scale @ mode.scale.T),
+            dense_mass=True,
             adapt_mass_matrix=False,
             target_accept_prob=target_accept,
             max_tree_depth=max_tree_depth,
         )
-        first = {"z": jax.numpy.asarray(normal_draws(mode, random, num_chains))}
+        first = jnp.asarray(normal_draws(mode, random, num_chains))
         state = kernel.init(jax.random.split(key, num_chains), num_warmup, first, (), {})
         num_draws = per_chain(num_samples, num_chains)
 
         def step(state):
             state = kernel.sample(state, (), {})
             return state, {
-                "z": state.z["z"],
+                "z": state.z,
                 "acceptance_rate": state.accept_prob,
                 "n_steps": state.num_steps,
                 "diverging": state.diverging,
@@ -73,6 +82,12 @@ def fit(
         z = stats.pop("z")
         stats["tree_depth"] = np.ceil(np.log2(stats["n_steps"] + 1)).astype(int)
         return build(
-            mode.density, z, method="nuts", options=options, seed=seed_of(key), cost=cost, sample_stats=stats,
+            mode.density,
+            z,
+            method="nuts",
+            options=options,
+            seed=seed_of(key),
+            cost=cost,
+            sample_stats=stats,
             log_likelihood=target.by_recording(z),
-        )  # fmt: skip
+        )

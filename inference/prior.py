@@ -20,6 +20,12 @@ def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000) -> x
         z = numpy_random(key).standard_normal((NUM_CHAINS, per_chain(num_samples, NUM_CHAINS), density.size))
         terms = density.log_likelihood_by_recording(z.reshape(-1, density.size))
         return build(
-            density, z, method="prior", options={"num_samples": num_samples}, seed=seed_of(key), cost=cost,
-            sample_stats={}, log_likelihood=terms.reshape(*z.shape[:2], -1),
-        )  # fmt: skip
+            density,
+            z,
+            method="prior",
+            options={"num_samples": num_samples},
+            seed=seed_of(key),
+            cost=cost,
+            sample_stats={},
+            log_likelihood=terms.reshape(*z.shape[:2], -1),
+        )

@@ -1,8 +1,8 @@
 """A mass on two slides under unknown gravity: a study whose posterior is known in closed form.
 
-Semi-implicit Euler, v += h a, then q += h v, gives after k steps q = q0 + k h v0 + h^2 k (k + 1) / 2 a: linear in the
-initial state and in gravity. The axes are rotated and measured with different noise, so that the posterior of the
-gravity's two components is correlated.
+Semi-implicit Euler, v += h a, then q += h v, gives after k steps q = q0 + k h v0 + h^2 k (k + 1) / 2 a, which
+is linear in the initial state and in gravity. The axes are rotated and measured with different noise, so that
+the posterior of the two components of gravity is correlated.
 """
 
 import shutil
@@ -24,7 +24,7 @@ TIMESTEP = 0.005
 
 @dataclass(frozen=True)
 class Setting:
-    """Prior of the gravity's x and z component [m/s^2], noise of the two positions [m], and what is recorded."""
+    """Prior of gravity's x and z component [m/s^2], noise of the two positions [m], what is recorded."""
 
     prior_mean: tuple[float, float] = (0.0, 0.2)
     prior_sd: tuple[float, float] = (0.5, 0.4)
@@ -34,7 +34,10 @@ class Setting:
     steps_per_sample: int = 4
 
 
-def draw_gravity(random: np.random.Generator, setting: Setting = Setting()) -> Float[np.ndarray, " 2"]:  # noqa: B008
+SETTING = Setting()
+
+
+def draw_gravity(random: np.random.Generator, setting: Setting = SETTING) -> Float[np.ndarray, " 2"]:
     """A gravity from the prior."""
     return np.asarray(setting.prior_mean) + np.asarray(setting.prior_sd) * random.standard_normal(2)
 
@@ -52,7 +55,7 @@ def simulate(
     return out
 
 
-def write_study(folder: Path, gravity: Sequence[float], *, seed: int = 0, setting: Setting = Setting()) -> Path:  # noqa: B008
+def write_study(folder: Path, gravity: Sequence[float], *, seed: int = 0, setting: Setting = SETTING) -> Path:
     """A study's folder with recordings simulated under `gravity` (x, z)."""
     (folder / "recordings").mkdir(parents=True, exist_ok=True)
     shutil.copyfile(MODEL, folder / "model.xml")
@@ -68,7 +71,9 @@ def write_study(folder: Path, gravity: Sequence[float], *, seed: int = 0, settin
     for r, positions in enumerate(simulate(np.asarray(gravity, float), random, setting)):
         times = np.arange(setting.num_samples) * setting.steps_per_sample * TIMESTEP
         lines = [f"{t:.6f},{a:.17g},{b:.17g}" for t, (a, b) in zip(times, positions, strict=True)]
-        atomic_write(folder / "recordings" / f"slide_{r + 1}.csv", "\n".join(["time," + ",".join(COLUMNS), *lines, ""]))
+        atomic_write(
+            folder / "recordings" / f"slide_{r + 1}.csv", "\n".join(["time," + ",".join(COLUMNS), *lines, ""])
+        )
     return folder
 
 
@@ -80,9 +85,10 @@ def with_recordings(problem: Problem, recordings: Sequence[Float[np.ndarray, "sa
 
 
 def exact_posterior(
-    problem: Problem, setting: Setting = Setting()  # noqa: B008
+    problem: Problem,
+    setting: Setting = SETTING,
 ) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "2 2"]]:
-    """Mean and covariance of gravity: dense Gaussian conditioning on all samples, initial states integrated out."""
+    """Mean and covariance of gravity: dense conditioning on all samples, initial states integrated out."""
     mean, precision = np.asarray(setting.prior_mean, float), np.diag(1.0 / np.asarray(setting.prior_sd) ** 2)
     shift = precision @ mean
     segments, guess = problem.segments, problem.guess

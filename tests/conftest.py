@@ -15,28 +15,33 @@ from det2stoc_bayes.study import Study, load_study
 OPTION = '<option timestep="0.002" integrator="{integrator}" gravity="0 0 -9.81"/>'
 HINGE = """
 <body name="arm" pos="0 0 1"><joint name="hinge" axis="0 1 0" damping="0.05"/>
-  <geom type="capsule" fromto="0 0 0 0.4 0 -0.3" size="0.03" mass="0.7" contype="0" conaffinity="0"/></body>"""
+  <geom type="capsule" fromto="0 0 0 0.4 0 -0.3" size="0.03" mass="0.7" contype="0" conaffinity="0"/>
+</body>"""
 SLIDE = """
-<body name="block"><joint name="slide" type="slide" axis="1 0 0.3" damping="0.3" stiffness="20" springref="0.1"/>
+<body name="block"><joint name="slide" type="slide" axis="1 0 0.3" damping="0.3" stiffness="20"
+  springref="0.1"/>
   <geom size="0.1" mass="1.3" contype="0" conaffinity="0"/></body>"""
 CARTPOLE = """
 <body name="cart"><joint name="rail" type="slide" axis="1 0 0" damping="0.2"/>
   <geom type="box" size="0.1 0.1 0.05" mass="1" contype="0" conaffinity="0"/>
   <body name="pole"><joint name="pivot" axis="0 1 0" damping="0.01"/>
-    <geom type="capsule" fromto="0 0 0 0 0 -0.6" size="0.02" mass="0.2" contype="0" conaffinity="0"/></body></body>"""
+    <geom type="capsule" fromto="0 0 0 0 0 -0.6" size="0.02" mass="0.2" contype="0" conaffinity="0"/>
+</body></body>"""
 ARM = """
 <body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="0.3" armature="0.01"/>
   <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03" mass="1" contype="0" conaffinity="0"/>
   <body name="lower" pos="0.3 0 0"><joint name="elbow" axis="0 1 0" damping="0.2" armature="0.005"/>
-    <geom type="capsule" fromto="0 0 0 0.25 0 0.05" size="0.025" mass="0.6" contype="0" conaffinity="0"/></body></body>"""
+    <geom type="capsule" fromto="0 0 0 0.25 0 0.05" size="0.025" mass="0.6" contype="0" conaffinity="0"/>
+</body></body>"""
 FREE = """
 <body name="stone" pos="0 0 2"><freejoint name="float"/>
   <geom type="box" size="0.1 0.06 0.03" mass="0.8" contype="0" conaffinity="0"/></body>"""
 MOTORS = """
-<actuator><motor name="turn" joint="shoulder" gear="2"/><position name="servo" joint="elbow" kp="8" kv="0.3"/></actuator>"""
+<actuator><motor name="turn" joint="shoulder" gear="2"/>
+<position name="servo" joint="elbow" kp="8" kv="0.3"/></actuator>"""
 GENERAL = """
-<actuator><general name="turn" joint="shoulder" gainprm="1.5" biastype="affine" biasprm="0.2 -1 -0.1" ctrlrange="-1 1"
-  ctrllimited="true"/>
+<actuator><general name="turn" joint="shoulder" gainprm="1.5" biastype="affine" biasprm="0.2 -1 -0.1"
+  ctrlrange="-1 1" ctrllimited="true"/>
 <general name="servo" joint="elbow" dyntype="filterexact" dynprm="0.05" gainprm="2"/></actuator>"""
 
 
@@ -67,7 +72,7 @@ def make_study(
 ) -> Study:
     """A study of an inline MJCF; `toml` are its tables ([psi.*], [noise], [known.*]).
 
-    `recordings`: name -> (time, column -> values). By default one of half a second with every joint's state 0.
+    `recordings`: name -> (time, column -> values). By default one of half a second at rest.
     """
     (folder / "recordings").mkdir(parents=True)
     (folder / "model.xml").write_text(xml)
@@ -88,19 +93,32 @@ def state_columns(model: mujoco.MjModel) -> list[str]:
     out = []
     for j in range(model.njnt):
         name, kind = model.joint(j).name, int(model.jnt_type[j])
-        parts = {0: ("/x /y /z /qw /qx /qy /qz", "/vx /vy /vz /wx /wy /wz"), 1: ("/qw /qx /qy /qz", "/wx /wy /wz")}
+        parts = {
+            0: ("/x /y /z /qw /qx /qy /qz", "/vx /vy /vz /wx /wy /wz"),
+            1: ("/qw /qx /qy /qz", "/wx /wy /wz"),
+        }
         for source, suffixes in zip(("qpos", "qvel"), parts.get(kind, ("", "")), strict=True):
             out += [f"{source}/{name}{s}" for s in suffixes.split() or [""]]
     return out
 
 
 def blank_recording(
-    model: mujoco.MjModel, time: np.ndarray, columns: Sequence[str] | None = None, ctrl: np.ndarray | None = None
+    model: mujoco.MjModel,
+    time: np.ndarray,
+    columns: Sequence[str] | None = None,
+    ctrl: np.ndarray | None = None,
 ) -> Recording:
     """A recording whose values do not matter: it gives times, columns and commands to follow."""
     columns = tuple(state_columns(model)) if columns is None else tuple(columns)
     ctrl = np.zeros((len(time), model.nu)) if ctrl is None else ctrl
-    return Recording("blank", np.asarray(time, float), columns, np.zeros((len(time), len(columns))), ctrl, Path("blank.csv"))
+    return Recording(
+        "blank",
+        np.asarray(time, float),
+        columns,
+        np.zeros((len(time), len(columns))),
+        ctrl,
+        Path("blank.csv"),
+    )
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -64,6 +64,7 @@ class Counter:
     gradients: int = field(default=0)
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Runs requests."""
 

@@ -1,6 +1,6 @@
 """The MJX engine: exact derivatives with respect to every unknown, and many simulations at once on a GPU.
 
-Derivatives are to be taken in forward mode (`jax.jacfwd`, `jax.jvp`): reverse mode fails or is wrong through contact.
+Take derivatives in forward mode (`jax.jacfwd`, `jax.jvp`): reverse mode fails or is wrong through contact.
 """
 
 import copy
@@ -73,20 +73,26 @@ class Mjx:
             model = _with_options(self._model, timestep, integrator)
             one = Simulation(model, columns, effects, tuple(fields), nonzero)
             # Only the axes of start, times, commands, fields and parameters are simulations.
-            many = jax.jit(lambda before, *a: jax.vmap(lambda *b: one.trajectory(*b, before))(*a), static_argnums=0)
+            many = jax.jit(
+                lambda before, *a: jax.vmap(lambda *b: one.trajectory(*b, before))(*a), static_argnums=0
+            )
             self._compiled[key] = one, many
         return self._compiled[key]
 
     def predict_fn(self, problem: "Problem", start: Start) -> Predict:
-        """`predict(z, change=None)`: values of every segment for one vector of unknowns, from starts that are given.
+        """`predict(z, change=None)`: values of every segment for one vector of unknowns, from given starts.
 
-        `change` (segments, 2 nv) moves the starts along tangent vectors (positions, velocities). Pure, jittable and
-        differentiable in forward mode with respect to both.
+        `change` (segments, 2 nv) moves the starts along tangent vectors (positions, velocities). Pure,
+        jittable and differentiable in forward mode with respect to both.
         """
         return _Predict(self, problem, start)
 
-    def _run(self, request: Request, rows: Int[np.ndarray, " n"], fields, effects, parameters) -> list[np.ndarray]:
-        one, many = self.simulation(request.segments.columns, effects, fields, request.timestep, request.integrator)
+    def _run(
+        self, request: Request, rows: Int[np.ndarray, " n"], fields, effects, parameters
+    ) -> list[np.ndarray]:
+        one, many = self.simulation(
+            request.segments.columns, effects, fields, request.timestep, request.integrator
+        )
         segments, which = request.segments, request.which[rows]
         before = _num_before(effects, parameters, one.dt)
         num_steps = int(segments.steps(one.dt)[request.which].max())
@@ -99,8 +105,14 @@ class Mjx:
             length = min(size, len(rows) - begin)
             pick = np.minimum(np.arange(begin, begin + 2 ** int(np.ceil(np.log2(length)))), len(rows) - 1)
             start = request.start[rows[pick]]
-            result = many(before, (start.qpos, start.qvel, start.act), segments.time[which[pick]], ctrl[inverse[pick]],
-                          {n: v[pick] for n, v in fields.items()}, [{n: v[pick] for n, v in p.items()} for p in parameters])
+            result = many(
+                before,
+                (start.qpos, start.qvel, start.act),
+                segments.time[which[pick]],
+                ctrl[inverse[pick]],
+                {n: v[pick] for n, v in fields.items()},
+                [{n: v[pick] for n, v in p.items()} for p in parameters],
+            )
             out.append([np.asarray(a)[:length] for a in result])
             self.counter.simulations += length
             self.counter.steps += length * num_steps
@@ -114,14 +126,21 @@ class _Predict:
         self._problem, segments = problem, problem.segments
         names = [segments.recordings[r].name for r in segments.recording]
         examples = np.random.default_rng(0).standard_normal((3, problem.size))
-        fields = [problem.simulator.fields(np.repeat(problem.psi(z[None]), segments.count, 0), names) for z in examples]
+        fields = [
+            problem.simulator.fields(np.repeat(problem.psi(z[None]), segments.count, 0), names)
+            for z in examples
+        ]
         merged = {name: np.concatenate([f[name] for f in fields]) for name in fields[0]}
-        self._one, _ = engine.simulation(segments.columns, problem.effects, merged, problem.timestep, problem.integrator)
+        self._one, _ = engine.simulation(
+            segments.columns, problem.effects, merged, problem.timestep, problem.integrator
+        )
         self._fields = {name: jnp.asarray(value) for name, value in fields[0].items()}
         farthest = [problem.effect_values(np.full((1, problem.size), s)) for s in (-FARTHEST, FARTHEST)]
         self._before = max(_num_before(problem.effects, values, self._one.dt) for values in farthest)
         num_steps = int(segments.steps(self._one.dt).max())
-        self._ctrl = jnp.asarray(segments.commands(np.arange(segments.count), self._one.dt, num_steps, self._before))
+        self._ctrl = jnp.asarray(
+            segments.commands(np.arange(segments.count), self._one.dt, num_steps, self._before)
+        )
         self._time = jnp.asarray(segments.time)
         self._start = tuple(jnp.asarray(a) for a in (start.qpos, start.qvel, start.act))
         self._model = problem.simulator.model
@@ -171,22 +190,34 @@ def _groups(
     for k in range(kinds.shape[1]):
         rows = np.flatnonzero(np.ravel(member) == k)
         chosen = [e for e, on in zip(effects, kinds[:, k], strict=True) if on]
-        parameters = [{n: np.asarray(v, float)[rows - e.rows.indices(count)[0]] for n, v in e.parameters.items()}
-                      for e in chosen]
+        parameters = [
+            {n: np.asarray(v, float)[rows - e.rows.indices(count)[0]] for n, v in e.parameters.items()}
+            for e in chosen
+        ]
         yield rows, tuple(e.placed for e in chosen), parameters
 
 
-def _num_before(effects: Sequence[PlacedEffect], parameters: Sequence[Mapping[str, np.ndarray]], dt: float) -> int:
+def _num_before(
+    effects: Sequence[PlacedEffect], parameters: Sequence[Mapping[str, np.ndarray]], dt: float
+) -> int:
     """Steps before a start whose commands still matter."""
-    return max((int(np.ceil(e.effect.memory(p) / dt)) + 2
-                for e, p in zip(effects, parameters, strict=True) if e.effect.uses("control")), default=0)
+    return max(
+        (
+            int(np.ceil(e.effect.memory(p) / dt)) + 2
+            for e, p in zip(effects, parameters, strict=True)
+            if e.effect.uses("control")
+        ),
+        default=0,
+    )
 
 
 def _nonzero(model: mujoco.MjModel, fields, effects: Sequence[PlacedEffect]) -> frozenset[tuple[str, int]]:
-    """Places where the model may have 0 but some simulation has not, in fields that MJX leaves out where they are 0."""
+    """Places where some simulation is not 0, in fields that MJX leaves out where the model is 0."""
     found: set[tuple[str, int]] = set()
     for name in NEEDED_NONZERO:
-        base = np.array(getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name), float)
+        base = np.array(
+            getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name), float
+        )
         values = np.reshape(fields[name], (-1, base.size)) if name in fields else base.reshape(1, -1)
         found |= {(name, int(i)) for i in np.flatnonzero((values != 0).any(0))}
         for e in effects:
@@ -203,5 +234,5 @@ def _with_options(model: mujoco.MjModel, timestep: float | None, integrator: str
     if timestep is not None:
         model.opt.timestep = timestep
     if integrator is not None:
-        model.opt.integrator = mujoco.mjtIntegrator[f"mjINT_{integrator.upper()}"]
+        model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
     return model

@@ -1,4 +1,4 @@
-"""One simulation in MJX as a pure function of its start, model fields, effect parameters, commands and sample times."""
+"""One simulation in MJX: a pure function of start, fields, effect parameters, commands and sample times."""
 
 import contextlib
 import copy
@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from det2stoc_bayes.engines.mjx_constants import ancestor_matrix, derived_constants
 from det2stoc_bayes.engines.mjx_support import check_effect, check_fields, check_supported
 from det2stoc_bayes.layout import column_address
 from det2stoc_bayes.mismatch.effects.base import BodyState, JointState, PlacedEffect
@@ -21,9 +22,27 @@ with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missin
 
 SLOW_SPIN = 3e-8  # rad/s; MJX takes less than 1e-8 for no rotation at all, with no derivatives either
 TINY = 1e-12  # keeps a term in the program that MJX would leave out of it where the model has 0
-NEEDED_NONZERO = ("dof_frictionloss", "tendon_frictionloss", "body_gravcomp", "opt.density", "opt.viscosity", "opt.wind")
-_INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat", "jnt_pos", "jnt_axis",
-             "dof_armature", "tendon_armature", "actuator_gear"}
+NEEDED_NONZERO = (
+    "dof_frictionloss",
+    "tendon_frictionloss",
+    "body_gravcomp",
+    "opt.density",
+    "opt.viscosity",
+    "opt.wind",
+)
+_INERTIAL = {
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "body_pos",
+    "body_quat",
+    "jnt_pos",
+    "jnt_axis",
+    "dof_armature",
+    "tendon_armature",
+    "actuator_gear",
+}
 Parameters = Mapping[str, Any]
 
 
@@ -47,12 +66,15 @@ class Simulation:
         self.addresses = [column_address(model, c) for c in columns]
         self._model, self._data = mjx.put_model(model), mjx.make_data(model)
         changed = {*fields, *(f for e in effects if in_fields(e) for f in e.effect.changes)}
-        self._ancestors = _ancestors(model)
+        self._ancestors = ancestor_matrix(model)
         # As in the C engine: a force held over a step of RK4 is that of the middle of the step.
         self._lead = 0.5 * self.dt if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
         self._rederive = bool(changed & _INERTIAL)
-        self._spins = [int(v) + {0: 3, 1: 0}[int(k)]
-                       for k, v in zip(model.jnt_type, model.jnt_dofadr, strict=True) if k < 2]
+        self._spins = [
+            int(v) + {0: 3, 1: 0}[int(k)]
+            for k, v in zip(model.jnt_type, model.jnt_dofadr, strict=True)
+            if k < 2
+        ]
         self._sensors = any(a.source == "sensordata" for a in self.addresses)
         self._forced = [i for i, e in enumerate(effects) if not in_fields(e) and e.effect.uses("joint_force")]
         self._pushed = [i for i, e in enumerate(effects) if e.effect.uses("body_force")]
@@ -69,8 +91,10 @@ class Simulation:
         fields: Mapping[str, Float[Array, "..."]],
         parameters: Sequence[Parameters],
         num_before: int = 0,
-    ) -> tuple[Float[Array, "samples columns"], Float[Array, "samples nq"], Float[Array, "samples nv"], Array]:
-        """Columns, qpos, qvel and act at the sample times; the first `num_before` commands precede the start."""
+    ) -> tuple[
+        Float[Array, "samples columns"], Float[Array, "samples nq"], Float[Array, "samples nv"], Array
+    ]:
+        """Columns, qpos, qvel, act at the sample times; the first `num_before` commands precede the start."""
         model = self.model(fields, parameters)
         for placed, p in zip(self.effects, parameters, strict=True):
             if placed.effect.uses("control"):
@@ -79,8 +103,14 @@ class Simulation:
         qpos, qvel, act = start
 
         def advance(state, u):
-            data = self._data.replace(qpos=state[0], qvel=self._turning(state[1]), act=state[2], qacc_warmstart=state[3],
-                                      time=state[4], ctrl=u)
+            data = self._data.replace(
+                qpos=state[0],
+                qvel=self._turning(state[1]),
+                act=state[2],
+                qacc_warmstart=state[3],
+                time=state[4],
+                ctrl=u,
+            )
             after, sensors = self._step(model, data, parameters)
             state = (after.qpos, after.qvel, after.act, after.qacc_warmstart, after.time)
             return state, (after.qpos, after.qvel, after.act, sensors)
@@ -89,7 +119,11 @@ class Simulation:
         _, (*states, sensors) = jax.lax.scan(advance, first, ctrl[num_before:])
         states = [jnp.concatenate([a[None], b]) for a, b in zip(start, states, strict=True)]
         # Sensor values describe the state before the step; the last one is held.
-        series = {"qpos": states[0], "qvel": states[1], "sensordata": jnp.concatenate([sensors, sensors[-1:]])}
+        series = {
+            "qpos": states[0],
+            "qvel": states[1],
+            "sensordata": jnp.concatenate([sensors, sensors[-1:]]),
+        }
         at = (stamps - stamps[0]) / self.dt
         return self._read(series, stamps, parameters), *(_interpolate(s, at) for s in states)
 
@@ -98,8 +132,16 @@ class Simulation:
         changed = {name: jnp.asarray(value, float) for name, value in fields.items()}
         for placed, p in zip(self.effects, parameters, strict=True):
             if in_fields(placed):
-                inside = {n: changed[n] if n in changed else _get(self._model, n) for n in placed.effect.changes}
+                inside = {
+                    n: changed[n] if n in changed else _get(self._model, n) for n in placed.effect.changes
+                }
                 changed |= placed.effect.fields(p, inside, placed.element, jnp)
+        for name, there in (
+            ("dof_frictionloss", self._model._impl.dof_hasfrictionloss),
+            ("tendon_frictionloss", self._model._impl.tendon_hasfrictionloss),
+        ):
+            if name in changed:  # a row that the program has brakes like a damper where its friction is 0
+                changed[name] = jnp.where(there, jnp.maximum(changed[name], 0.0) + TINY, changed[name])
         model = self._model.tree_replace(changed)
         return derived_constants(model, self._data, self._ancestors) if self._rederive else model
 
@@ -110,7 +152,7 @@ class Simulation:
         return qvel
 
     def _step(self, m, d, parameters):
-        """As mj_step; forces of effects are held over the step, those that MuJoCo has as damping are linearized."""
+        """As mj_step; effects' forces are held over the step, those that are damping in MuJoCo linearized."""
         d = mjx.fwd_position(m, d)
         d = mjx.sensor_pos(m, d) if self._sensors else d
         m, d = self._joint_forces(m, d, parameters)
@@ -151,8 +193,11 @@ class Simulation:
     def _read(self, series, stamps, parameters) -> Float[Array, "samples columns"]:
         out = []
         for column, address in zip(self.columns, self.addresses, strict=True):
-            acting = [(e.effect, p) for e, p in zip(self.effects, parameters, strict=True)
-                      if e.element.kind == "sensor" and e.element.column in (column, "time")]
+            acting = [
+                (e.effect, p)
+                for e, p in zip(self.effects, parameters, strict=True)
+                if e.element.kind == "sensor" and e.element.column in (column, "time")
+            ]
             times = stamps
             for effect, p in acting:
                 times = effect.sample_time(p, times, jnp)
@@ -166,43 +211,6 @@ class Simulation:
 def in_fields(placed: PlacedEffect) -> bool:
     """Whether the effect enters MJX through model fields."""
     return bool(placed.effect.changes) and placed.effect.in_mjx_fields
-
-
-def derived_constants(model: Any, data: Any, ancestors: np.ndarray) -> Any:
-    """What mj_setConst computes from inertias and that the dynamics, limits, friction and sensors use."""
-    d = mjx.com_pos(model, mjx.kinematics(model, data.replace(qpos=model.qpos0)))
-    d = mjx.tendon_armature(model, mjx.crb(model, mjx.tendon(model, mjx.camlight(model, d))))
-    inverse = jnp.linalg.inv(mjx.full_m(model, d)) if model.nv else jnp.zeros((0, 0))
-    jacobians = jax.vmap(lambda point, body: mjx.jac(model, d, point, body))(d.xipos, jnp.arange(model.nbody))
-    body = jnp.stack([jnp.einsum("bik,ij,bjk->b", j, inverse, j) / 3 for j in jacobians], -1)
-    moving = jnp.asarray(model.body_weldid != 0)[:, None]
-    groups = _dof_groups(model)
-    tendon = jnp.einsum("ti,ij,tj->t", d._impl.ten_J, inverse, d._impl.ten_J)
-    moment = mjx.transmission(model, d)._impl.actuator_moment
-    return model.replace(
-        body_invweight0=jnp.where(moving, body, 0.0),
-        dof_invweight0=jnp.asarray(groups) @ jnp.diagonal(inverse),
-        tendon_invweight0=tendon,
-        actuator_acc0=jnp.linalg.norm(moment @ inverse, axis=-1) if model.nu else model.actuator_acc0,
-        body_subtreemass=jnp.asarray(ancestors) @ model.body_mass,
-    )
-
-
-def _dof_groups(model) -> Float[np.ndarray, "nv nv"]:
-    # Translations of a free joint share one weight, as do rotations of a free or ball joint.
-    groups = np.eye(model.nv)
-    for kind, dof in zip(model.jnt_type, model.jnt_dofadr, strict=True):
-        for shift in {0: (0, 3), 1: (0,)}.get(int(kind), ()):
-            groups[dof + shift : dof + shift + 3, dof + shift : dof + shift + 3] = 1 / 3
-    return groups
-
-
-def _ancestors(model: mujoco.MjModel) -> Float[np.ndarray, "nbody nbody"]:
-    # Row b has a one for every body of b's subtree.
-    out = np.eye(model.nbody)
-    for body in range(model.nbody - 1, 0, -1):
-        out[model.body_parentid[body]] += out[body]
-    return out
 
 
 def _with_tiny(model: mujoco.MjModel, nonzero: frozenset[tuple[str, int]]) -> mujoco.MjModel:
@@ -236,7 +244,9 @@ def _get(model, name: str):
     return getattr(model.opt if holder == "opt" else model, leaf)
 
 
-def _interpolate(values: Float[Array, "steps *k"], at: Float[Array, " samples"]) -> Float[Array, "samples *k"]:
+def _interpolate(
+    values: Float[Array, "steps *k"], at: Float[Array, " samples"]
+) -> Float[Array, "samples *k"]:
     """Linear between steps; a little before the first step along the first step's slope."""
     low = jnp.clip(jnp.floor(jax.lax.stop_gradient(at)).astype(int), 0, len(values) - 2)
     share = jnp.expand_dims(at - low, tuple(range(1, values.ndim)))

@@ -134,7 +134,7 @@ class _Chunk:
             series["sensordata"] = np.concatenate([record["sensordata"], record["sensordata"][:, -1:]], 1)
         columns = self._read(series)
         if not states:
-            empty = np.empty((self.count, 0, 0))
+            empty = np.empty((*columns.shape[:2], 0))
             return Trajectory(columns, empty, empty, empty)
         if self.model.na:
             series["act"] = np.concatenate([start.act[:, None], record["act"]], 1)
@@ -180,6 +180,7 @@ class _Chunk:
         live = {name: batch.bind(name) for name in items}
         out = {name: np.empty((self.count, self.num_steps, array.shape[1])) for name, array in live.items()}
         stage = mujoco.mjtStage.mjSTAGE_VEL if self.body_forces else mujoco.mjtStage.mjSTAGE_NONE
+        apart = self.body_forces and "sensordata" in live  # the stages of the new state would overwrite its sensors
         time = np.array(self.segments.time[self.which, 0])
         stepped = [e for e in self.effects if _is_stepped(e)]
         if self.body_forces:
@@ -190,10 +191,12 @@ class _Chunk:
                 self._apply(e, qpos, qvel, time, force, wrench, derived)
             if command is not None:
                 command[:] = ctrl[:, k]
-            batch.step(stage=stage)
+            batch.step(stage=mujoco.mjtStage.mjSTAGE_NONE if apart else stage)
             time += self.dt
             for name, array in live.items():
                 out[name][:, k] = array
+            if apart:
+                batch.forward(stage=stage)
         return out
 
     def _apply(self, e: EffectRows, qpos, qvel, time, force, wrench, derived) -> None:

@@ -18,11 +18,11 @@ from det2stoc_bayes.mismatch.classes import Class, classes
 from det2stoc_bayes.mismatch.effects import CATALOGUE
 from det2stoc_bayes.mismatch.evidence import log_evidence
 from det2stoc_bayes.mismatch.experiment import propose
-from det2stoc_bayes.mismatch.explain import Explanation, explain, without
+from det2stoc_bayes.mismatch.explain import Explanation, explain, swap, without
 from det2stoc_bayes.mismatch.heldout import HeldOut, fitted, held_out, horizon_samples
 from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics
-from det2stoc_bayes.mismatch.patch import assets, effects_module, patched_model
+from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.statements import alternatives, draws, element, parameters, statement
 from det2stoc_bayes.mismatch.where import Condition, conditions
 from det2stoc_bayes.optimize import Fit
@@ -42,8 +42,7 @@ class Diagnosis:
 
     finding: finding.Finding
     tree: xr.DataTree
-    patched: str
-    effects: str | None
+    patch: Patch
     study: Study
 
     def write(self, out: Path) -> None:
@@ -51,15 +50,14 @@ class Diagnosis:
         from det2stoc_bayes.report import diagnosis_page
 
         out.mkdir(parents=True, exist_ok=True)
-        names = ["patched.xml", *(["effects.py"] if self.effects else []), "fit.nc", "diagnosis.json"]
+        names = ["patched.xml", *(["effects.py"] if self.patch.module else []), "fit.nc", "diagnosis.json"]
         page = diagnosis_page(self.finding.model_dump(mode="json"), self.tree, study_name=self.study.name, files=tuple(names))
-        for path in assets(self.study):
-            target = out / path.relative_to(self.study.model_path.parent)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            atomic_write(target, path.read_bytes())
-        atomic_write(out / "patched.xml", self.patched)
-        if self.effects:
-            atomic_write(out / "effects.py", self.effects)
+        for name, path in self.patch.assets.items():
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            atomic_write(out / name, path.read_bytes())
+        atomic_write(out / "patched.xml", self.patch.model)
+        if self.patch.module:
+            atomic_write(out / "effects.py", self.patch.module)
         else:
             (out / "effects.py").unlink(missing_ok=True)  # of an earlier diagnosis
         with replacing(out / "fit.nc") as path:
@@ -121,6 +119,7 @@ class _Assembly:
         self.held_before = held_out(self.before)
         self.progress("scoring held-out recordings", 1, 3)
         judged = [classes(slot, self.num_candidates, self.found.share) for slot in self.found.slots]
+        self._simplify(judged)
         self._drop_negligible(judged)
         self.held_after = self.held_before if self.after is self.before else held_out(self.after)
         self.progress("scoring held-out recordings", 2, 3)
@@ -137,11 +136,16 @@ class _Assembly:
         effects = [(e, {k: float(v[0]) for k, v in p.items()})
                    for e, p in zip(self.after.problem.effects, values, strict=True)] if verdict == "mismatch" else []
         options = {"timestep": shown.problem.timestep, "integrator": shown.problem.integrator}
-        patched = patched_model(self.study, psi, effects, **options)
-        module = effects_module(self.study, psi, effects, **options)
-        return Diagnosis(self._finding(verdict, judged), tree, patched, module, self.study)
+        patch = make_patch(self.study, psi, effects, **options)
+        return Diagnosis(self._finding(verdict, judged), tree, patch, self.study)
 
     # --- verdict ------------------------------------------------------------------------------------------------
+    def _simplify(self, judged: list[list[Class]]) -> None:
+        """Of every class the simplest member stands in the corrected simulator."""
+        for i, placed in enumerate(self.after.problem.effects):
+            chosen = next(c for c in judged[i] if any(m.placed == placed for m in c.members))
+            self.after = swap(self.after, i, chosen.members[0])
+
     def _drop_negligible(self, judged: list[list[Class]]) -> None:
         """Effects that earn evidence but explain next to nothing are set apart, and the rest refitted without them."""
         self.named, self.negligible = [], []

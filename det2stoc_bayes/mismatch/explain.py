@@ -12,6 +12,8 @@ from det2stoc_bayes.mismatch.screen import Screened, screen
 from det2stoc_bayes.optimize import Fit, Point, fit_many
 
 NUM_REFINED = 6
+PROMISING = 0.1  # of the best screened evidence: what earns less is not refined
+RACE = 200.0  # nats behind the best after two iterations at which a candidate is no longer refined
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
 MAX_EFFECTS = 3
 Progress = Callable[[str, int, int], None]  # stage, done, total
@@ -52,7 +54,7 @@ def threshold(num_candidates: int) -> float:
 
 
 def look(base: Fit, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
-    """Screen every candidate beside a fit and refine the best."""
+    """Screen every candidate beside a fit and refine those that may earn their place."""
     count = [0]
 
     def advance(n: int) -> None:
@@ -60,25 +62,40 @@ def look(base: Fit, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
         progress("screening effects", count[0], len(pool))
 
     screened = screen(base, pool, advance)
-    return Slot(base, tuple(screened), tuple(refine(base, screened[:NUM_REFINED], progress)))
+    best = screened[0].log_evidence if screened else 0.0
+    least = max(PROMISING * best, threshold(len(pool)) / 3)
+    worth = [s for s in screened[:NUM_REFINED] if s.log_evidence > least]
+    return Slot(base, tuple(screened), tuple(refine(base, worth, progress)))
 
 
-def refine(base: Fit, screened: Sequence[Screened], progress: Progress) -> list[Ranked]:
-    """Joint Gauss-Newton of psi and each candidate, best evidence first; wrong-signed candidates are dropped."""
-    worth = [s for s in screened if s.log_evidence > 0]
+def refine(base: Fit, worth: Sequence[Screened], progress: Progress) -> list[Ranked]:
+    """Joint Gauss-Newton of psi and each candidate, best evidence first; wrong-signed candidates are dropped.
+
+    After a few iterations only those that are still in the race go on.
+    """
     points = []
     for s in worth:
         values = s.placed.effect.combine(s.trial, s.coefficients, s.placed.typical)
         z = np.concatenate([base.point.z + s.change, s.placed.effect.to_normal(values, s.placed.typical)])
         problem = base.problem.with_effects((*base.problem.effects, s.placed))
         points.append((problem, Point(z, base.point.start)))
+    if not points:
+        return []
     progress("refining the best", 0, len(worth))
-    fits = fit_many(points, tolerance=0.3) if points else []
+    fits = [f for f in fit_many(points, max_iterations=2, tolerance=0.3) if f is not None and _allowed(f)]
+    if not fits:
+        return []
+    share = effective_share(min(fits, key=lambda f: f.chi2))
+    top = max(log_evidence(f, share) for f in fits)
+    racing = [f for f in fits if log_evidence(f, share) > top - RACE and not f.converged]
+    further = fit_many([(f.problem, f.point) for f in racing], tolerance=0.3) if racing else []
+    better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None and _allowed(g)}
+    fits = [better.get(id(f), f) for f in fits]
     progress("refining the best", len(worth), len(worth))
-    kept = [(s.placed, f) for s, f in zip(worth, fits, strict=True) if f is not None and _allowed(f)]
-    share = min((effective_share(f) for _, f in sorted(kept, key=lambda k: k[1].chi2)[:1]), default=1.0)
+    share = effective_share(min(fits, key=lambda f: f.chi2))
     before = log_evidence(base, share)
-    return sorted((Ranked(p, f, log_evidence(f, share) - before) for p, f in kept), key=lambda r: -r.gain)
+    ranked = (Ranked(f.problem.effects[-1], f, log_evidence(f, share) - before) for f in fits)
+    return sorted(ranked, key=lambda r: -r.gain)
 
 
 def _allowed(fit: Fit) -> bool:
@@ -139,6 +156,22 @@ def without(fit: Fit, i: int) -> Fit:
     return _refit(fit, [e for k, e in enumerate(fit.problem.effects) if k != i])
 
 
+def swap(fit: Fit, i: int, other: Ranked) -> Fit:
+    """The best fit with another candidate in place i of the list."""
+    effects = list(fit.problem.effects)
+    if effects[i] == other.placed:
+        return fit
+    if len(effects) == 1:
+        return other.fit
+    kept = _keep(fit, [e for k, e in enumerate(effects) if k != i])
+    cut_at = fit.problem.num_psi + sum(e.size for e in effects[:i])
+    own = other.fit.point.z[other.fit.problem.size - other.placed.size :]
+    effects[i] = other.placed
+    z = np.concatenate([kept.z[:cut_at], own, kept.z[cut_at:]])
+    found = fit_many([(fit.problem.with_effects(effects), Point(z, fit.point.start))], tolerance=0.3)[0]
+    return fit if found is None else found
+
+
 def _reordered(fit: Fit, i: int) -> Fit:
     """The same fit with effect i last, as refinement leaves it."""
     effects = [e for k, e in enumerate(fit.problem.effects) if k != i] + [fit.problem.effects[i]]
@@ -149,7 +182,7 @@ def _prune(fit: Fit, needed: float) -> Fit:
     """Drops effects that no longer earn their place beside the later ones."""
     for placed in fit.problem.effects[:-1]:
         rest = tuple(e for e in fit.problem.effects if e != placed)
-        without, share = _refit(fit, rest), effective_share(fit)
-        if log_evidence(fit, share) - log_evidence(without, share) < needed:
-            fit = without
+        lean, share = _refit(fit, rest), effective_share(fit)
+        if log_evidence(fit, share) - log_evidence(lean, share) < needed:
+            fit = lean
     return fit

@@ -5,7 +5,19 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from conftest import ARM, CARTPOLE, FREE, GENERAL, HINGE, MOTORS, SLIDE, blank_recording, make_study, model_xml, state_columns
+from conftest import (
+    ARM,
+    CARTPOLE,
+    FREE,
+    GENERAL,
+    HINGE,
+    MOTORS,
+    SLIDE,
+    blank_recording,
+    make_study,
+    model_xml,
+    state_columns,
+)
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.engines.mjx import Mjx
@@ -25,8 +37,15 @@ def agree(model, fields, effects_c=(), effects_mjx=None, num_sims=2, seed=0, tol
     ctrl = 0.5 * np.sin(np.outer(TIME, 2 + np.arange(model.nu)))
     segments = cut([blank_recording(model, TIME, columns, ctrl)])
     qpos = model.qpos0 + (0.2 if model.nq == model.nv else 0.0)
-    start = Start(np.tile(qpos, (num_sims, 1)), np.tile(rng.standard_normal(model.nv), (num_sims, 1)), np.zeros((num_sims, model.na)))
-    request = [Request(segments, np.zeros(num_sims, int), start, fields, e) for e in (effects_c, effects_mjx or effects_c)]
+    start = Start(
+        np.tile(qpos, (num_sims, 1)),
+        np.tile(rng.standard_normal(model.nv), (num_sims, 1)),
+        np.zeros((num_sims, model.na)),
+    )
+    request = [
+        Request(segments, np.zeros(num_sims, int), start, fields, e)
+        for e in (effects_c, effects_mjx or effects_c)
+    ]
     c, mjx = MujocoC(model).rollout(request[0]), Mjx(model).rollout(request[1])
     scale = np.abs(c).max((0, 1)) + 1e-3
     assert np.isfinite(c).all()
@@ -51,7 +70,8 @@ KINDS = {"body": "body", "jnt": "joint", "dof": "joint", "qpos": "joint", "actua
 
 
 @pytest.mark.parametrize(
-    ("bodies", "rest", "integrator"), [(ZOO, GENERAL, "Euler"), (ARM, MOTORS, "implicitfast"), (HINGE, "", "RK4")],
+    ("bodies", "rest", "integrator"),
+    [(ZOO, GENERAL, "Euler"), (ARM, MOTORS, "implicitfast"), (HINGE, "", "RK4")],
     ids=["euler", "implicitfast", "rk4"],
 )
 def test_same_motion(compiled, bodies, rest, integrator):
@@ -65,7 +85,9 @@ def test_same_motion(compiled, bodies, rest, integrator):
                 named = getattr(model, kind)(element)
                 row = {"dof": "dofadr", "qpos": "qposadr"}.get(name.split("_")[0])
                 place = int(getattr(named, row)[0]) if row else named.id
-                edited[place, ...] = np.resize(np.append(value, np.zeros(9)), base.shape[1:]) if base.ndim > 1 else value
+                edited[place, ...] = (
+                    np.resize(np.append(value, np.zeros(9)), base.shape[1:]) if base.ndim > 1 else value
+                )
         if (edited != base).any():
             fields[name] = np.stack([base, edited])
     c = agree(model, fields)
@@ -73,31 +95,57 @@ def test_same_motion(compiled, bodies, rest, integrator):
     assert (moved[:-13] > 1e-3).all() if "stone" in bodies else (moved > 1e-3).all()
 
 
-VALUES = {"viscous_damping": [0.3], "coulomb_friction": [0.2], "quadratic_damping": [0.4], "joint_spring": [2.0, 0.3],
-          "cubic_stiffness": [1.5], "constant_force": [0.7], "armature": [0.05], "cogging_torque": [0.3, 9.0, 0.4],
-          "quadratic_drag": [0.6], "actuator_delay": [0.0333], "actuator_gain": [1.7], "sensor_bias": [0.1]}
+VALUES = {
+    "viscous_damping": [0.3],
+    "coulomb_friction": [0.2],
+    "quadratic_damping": [0.4],
+    "joint_spring": [2.0, 0.3],
+    "cubic_stiffness": [30.0],
+    "constant_force": [0.7],
+    "armature": [0.05],
+    "cogging_torque": [0.3, 9.0, 0.4],
+    "quadratic_drag": [0.6],
+    "actuator_delay": [0.0333],
+    "actuator_gain": [1.7],
+    "sensor_bias": [0.1],
+}
 
 
 def placed_effects(model):
     """Every effect of the catalogue with values, on the second element that it fits."""
-    elements = {"joint": joint_elements(model), "body": body_elements(model), "actuator": actuator_elements(model),
-                "sensor": sensor_elements(model, tuple(state_columns(model)))}
-    return [(PlacedEffect(CATALOGUE[name], elements[CATALOGUE[name].kind][1], Typical()),
-             {p.name: v for p, v in zip(CATALOGUE[name].parameters, values, strict=True)})
-            for name, values in VALUES.items()]
+    elements = {
+        "joint": joint_elements(model),
+        "body": body_elements(model),
+        "actuator": actuator_elements(model),
+        "sensor": sensor_elements(model, tuple(state_columns(model))),
+    }
+    return [
+        (
+            PlacedEffect(CATALOGUE[name], elements[CATALOGUE[name].kind][1], Typical()),
+            {p.name: v for p, v in zip(CATALOGUE[name].parameters, values, strict=True)},
+        )
+        for name, values in VALUES.items()
+    ]
 
 
-# What has a weight derived from inertias (friction, limits), or is left out of MJX's program where the model has 0.
-DERIVED = {"dof_frictionloss": [0.05, 0.08], "body_mass": [0, 2.0, 1.0], "body_inertia": 3 * [[0.02, 0.02, 0.03]],
-           "dof_armature": [0.2, 0.1], "actuator_gear": [[3.0, 0, 0, 0, 0, 0], [2, 0, 0, 0, 0, 0]],
-           "body_gravcomp": [0, 0.5, 0.8], "opt.density": 300.0, "body_ipos": [[0, 0, 0], [0.1, 0, 0.1], [0, 0.1, 0]]}
+# What has a weight derived from inertias (friction, limits), or is left out of MJX's program at 0.
+DERIVED = {
+    "dof_frictionloss": [0.05, 0.08],
+    "body_mass": [0, 2.0, 1.0],
+    "body_inertia": 3 * [[0.02, 0.02, 0.03]],
+    "dof_armature": [0.2, 0.1],
+    "actuator_gear": [[3.0, 0, 0, 0, 0, 0], [2, 0, 0, 0, 0, 0]],
+    "body_gravcomp": [0, 0.5, 0.8],
+    "opt.density": 300.0,
+    "body_ipos": [[0, 0, 0], [0.1, 0, 0.1], [0, 0.1, 0]],
+}
 
 
 def test_same_motion_with_every_effect_and_derived_constant(compiled):
     bodies = ARM.replace('name="elbow"', 'name="elbow" range="-0.3 0.3" limited="true"')
     bodies = bodies.replace('name="shoulder"', 'name="shoulder" frictionloss="0.1"')
-    sensors = '<sensor><subtreelinvel name="flow" body="upper"/><actuatorfrc name="effort" actuator="servo"/></sensor>'
-    model = compiled(bodies, MOTORS + sensors)
+    sensors = '<subtreelinvel name="flow" body="upper"/><actuatorfrc name="effort" actuator="servo"/>'
+    model = compiled(bodies, MOTORS + f"<sensor>{sensors}</sensor>")
     effects = placed_effects(model)
     rows = len(DERIVED) + len(effects) + 1
     fields = {}
@@ -111,7 +159,9 @@ def test_same_motion_with_every_effect_and_derived_constant(compiled):
         alone.append(EffectRows(placed, slice(k, k + 1), {n: np.array([v]) for n, v in values.items()}))
         absent = {p.name: p.absent for p in placed.effect.parameters}
         present = [values if row == k else absent for row in range(rows)]
-        together.append(EffectRows(placed, slice(0, rows), {n: np.array([v[n] for v in present]) for n in values}))
+        together.append(
+            EffectRows(placed, slice(0, rows), {n: np.array([v[n] for v in present]) for n in values})
+        )
     columns = [*state_columns(model), "sensor/flow/0", "sensor/flow/2", "sensor/effort"]
     c = agree(model, fields, tuple(alone), tuple(together), rows, columns=columns)
     assert (np.abs(c[:-1] - c[-1]).max((1, 2)) > 1e-3).all()
@@ -132,13 +182,20 @@ prior = { Normal = { loc = -9.8, scale = 0.1 } }
 """
     xml = model_xml(ARM, MOTORS)
     time = np.arange(26) * 0.01
-    series = {c: 0.3 + 0.1 * np.sin(5 * time + i) for i, c in enumerate(state_columns(mujoco.MjModel.from_xml_string(xml)))}
+    series = {
+        c: 0.3 + 0.1 * np.sin(5 * time + i)
+        for i, c in enumerate(state_columns(mujoco.MjModel.from_xml_string(xml)))
+    }
     series |= {"ctrl/turn": np.sin(9 * time), "ctrl/servo": 0.5 * np.cos(7 * time)}
     study = make_study(tmp_path / "s", xml, toml, {"one": (time, series)})
     c, mjx = Simulator(study), Simulator(study, "mjx")
     chosen = ("quadratic_damping", "quadratic_drag", "actuator_delay", "sensor_bias")
     effects = [p for p, _ in placed_effects(c.model) if p.effect.name in chosen]
-    values = [np.asarray(p.effect.to_normal(v, p.typical)) for p, v in placed_effects(c.model) if p.effect.name in chosen]
+    values = [
+        np.asarray(p.effect.to_normal(v, p.typical))
+        for p, v in placed_effects(c.model)
+        if p.effect.name in chosen
+    ]
     problem, other = (make_problem(s, num_samples=13).with_effects(effects) for s in (c, mjx))
     z = np.concatenate([[0.3, 0.5, -0.2], *values])
     start, states = problem.guess.start, 2 * c.model.nv
@@ -165,8 +222,20 @@ prior = { Normal = { loc = -9.8, scale = 0.1 } }
 
 def test_derivatives_of_a_body_at_rest_are_finite(tmp_path):
     xml = model_xml(FREE)
-    study = make_study(tmp_path / "s", xml, '[psi.mass]\ntarget = "body/stone/mass"\nprior = { Normal = { loc = 0.8 } }\n',
-                       {"one": (np.arange(4) * 0.004, {f"qpos/float/{p}": np.full(4, v) for p, v in {"z": 2, "qw": 1, "qx": 0, "qy": 0, "qz": 0}.items()})})
+    study = make_study(
+        tmp_path / "s",
+        xml,
+        '[psi.mass]\ntarget = "body/stone/mass"\nprior = { Normal = { loc = 0.8 } }\n',
+        {
+            "one": (
+                np.arange(4) * 0.004,
+                {
+                    f"qpos/float/{p}": np.full(4, v)
+                    for p, v in {"z": 2, "qw": 1, "qx": 0, "qy": 0, "qz": 0}.items()
+                },
+            )
+        },
+    )
     simulator = Simulator(study, "mjx")
     problem = make_problem(simulator)
     predict = simulator.engine.predict_fn(problem, problem.guess.start)
@@ -176,6 +245,8 @@ def test_derivatives_of_a_body_at_rest_are_finite(tmp_path):
     def slope(direction):
         return jax.jvp(lambda change: predict(jnp.zeros(1), change), (jnp.zeros((1, 12)),), (direction,))[1]
 
-    ends = [c.rollout(problem.request(np.zeros((1, 1)), problem.moved(problem.guess.start, s * direction)))
-            for s in (1e-5, -1e-5)]
+    ends = [
+        c.rollout(problem.request(np.zeros((1, 1)), problem.moved(problem.guess.start, s * direction)))
+        for s in (1e-5, -1e-5)
+    ]
     np.testing.assert_allclose(slope(direction), (ends[0] - ends[1]) / 2e-5, atol=1e-7)

@@ -21,7 +21,11 @@ BALL = '<body name="ball"><joint name="{0}" type="slide" axis="{1}"/><geom size=
 def request(model, time, qpos, qvel, fields=None, ctrl=None, columns=None, effects=()):
     """Simulations of one blank recording from several starts."""
     segments = cut([blank_recording(model, time, columns, ctrl)])
-    start = Start(np.atleast_2d(qpos).astype(float), np.atleast_2d(qvel).astype(float), np.zeros((len(np.atleast_2d(qpos)), model.na)))
+    start = Start(
+        np.atleast_2d(qpos).astype(float),
+        np.atleast_2d(qvel).astype(float),
+        np.zeros((len(np.atleast_2d(qpos)), model.na)),
+    )
     return Request(segments, np.zeros(len(start.qpos), int), start, fields or {}, effects)
 
 
@@ -80,7 +84,9 @@ def test_damping_decays_exponentially(compiled):
 def test_frictionloss_decelerates_evenly_and_stops(compiled):
     model = compiled(BALL.format("run", "1 0 0"), option='<option timestep="0.001" gravity="0 0 0"/>')
     time = np.linspace(0, 2, 41)
-    out = MujocoC(model).rollout(request(model, time, [0.0], [1.0], {"dof_frictionloss": np.array([[2.0]])}))[0]
+    out = MujocoC(model).rollout(request(model, time, [0.0], [1.0], {"dof_frictionloss": np.array([[2.0]])}))[
+        0
+    ]
     np.testing.assert_allclose(out[:, 1], np.clip(1 - time, 0, None), atol=5e-3)
     assert np.ptp(out[time > 1.1, 0]) < 1e-3
 
@@ -90,8 +96,15 @@ def test_chunks_change_nothing(compiled, monkeypatch):
     time, n = np.arange(11) * 0.013, 7
     placed = PlacedEffect(CATALOGUE["constant_force"], Element("joint", "elbow", True, 1, 1, 2), Typical())
     effects = (EffectRows(placed, slice(2, 6), {"force": rng.standard_normal(4)}),)
-    asked = request(model, time, rng.standard_normal((n, 2)), rng.standard_normal((n, 2)),
-                    {"body_mass": model.body_mass * rng.uniform(0.5, 2, (n, 1))}, rng.standard_normal((11, 2)), effects=effects)
+    asked = request(
+        model,
+        time,
+        rng.standard_normal((n, 2)),
+        rng.standard_normal((n, 2)),
+        {"body_mass": model.body_mass * rng.uniform(0.5, 2, (n, 1))},
+        rng.standard_normal((11, 2)),
+        effects=effects,
+    )
     whole = MujocoC(model).rollout(asked)
     monkeypatch.setattr(mujoco_c, "MAX_SIMULATIONS", 3)
     np.testing.assert_array_equal(MujocoC(model).rollout(asked), whole)
@@ -103,15 +116,30 @@ def test_a_diverging_simulation_is_alone_and_silent(compiled, capfd, monkeypatch
     model = compiled(CARTPOLE)
     effects = ()
     if held:
-        placed = PlacedEffect(CATALOGUE["constant_force"], Element("joint", "rail", False, 0, 0, 1), Typical())
+        placed = PlacedEffect(
+            CATALOGUE["constant_force"], Element("joint", "rail", False, 0, 0, 1), Typical()
+        )
         effects = (EffectRows(placed, slice(0, 3), {"force": np.zeros(3)}),)
     damping = np.array([[0.2, 0.01], [-1e6, -1e6], [0.2, 0.01]])
-    asked = request(model, np.arange(41) * 0.05, np.full((3, 2), 0.1), np.ones((3, 2)),
-                    {"dof_damping": damping}, effects=effects)
+    asked = request(
+        model,
+        np.arange(41) * 0.05,
+        np.full((3, 2), 0.1),
+        np.ones((3, 2)),
+        {"dof_damping": damping},
+        effects=effects,
+    )
     out = MujocoC(model).rollout(asked)
     assert np.isnan(out[1]).all()
-    alone = MujocoC(model).rollout(replace(asked, which=asked.which[:1], start=asked.start[:1], effects=(),
-                                           fields={k: v[:1] for k, v in asked.fields.items()}))
+    alone = MujocoC(model).rollout(
+        replace(
+            asked,
+            which=asked.which[:1],
+            start=asked.start[:1],
+            effects=(),
+            fields={k: v[:1] for k, v in asked.fields.items()},
+        )
+    )
     np.testing.assert_allclose(out[[0, 2]], np.concatenate([alone, alone]), atol=1e-12)
     assert capfd.readouterr() == ("", "")
     assert os.listdir(tmp_path) == []
@@ -163,9 +191,11 @@ def test_a_command_takes_effect_at_the_first_step_at_or_after_its_time(compiled)
 
 @pytest.mark.parametrize(
     ("field", "edit"),
-    [("body_mass", lambda s: setattr(s.body("lower"), "mass", 2.0)),
-     ("dof_armature", lambda s: setattr(s.joint("elbow"), "armature", 0.3)),
-     ("body_inertia", lambda s: setattr(s.body("lower"), "inertia", [0.02, 0.03, 0.01]))],
+    [
+        ("body_mass", lambda s: setattr(s.body("lower"), "mass", 2.0)),
+        ("dof_armature", lambda s: setattr(s.joint("elbow"), "armature", 0.3)),
+        ("body_inertia", lambda s: setattr(s.body("lower"), "inertia", [0.02, 0.03, 0.01])),
+    ],
 )
 def test_a_changed_inertia_moves_as_a_recompiled_model(field, edit):
     bodies = ARM.replace("<geom", '<geom group="0"')
@@ -173,7 +203,13 @@ def test_a_changed_inertia_moves_as_a_recompiled_model(field, edit):
     model = spec.compile()
     for body in spec.bodies[1:]:  # inertias of their own, so that they can be edited
         b = model.body(body.name)
-        body.explicitinertial, body.mass, body.ipos, body.iquat, body.inertia = True, b.mass[0], b.ipos, b.iquat, b.inertia
+        body.explicitinertial, body.mass, body.ipos, body.iquat, body.inertia = (
+            True,
+            b.mass[0],
+            b.ipos,
+            b.iquat,
+            b.inertia,
+        )
     edit(spec)
     edited = spec.compile()
     value = getattr(edited, field)[None]
@@ -187,16 +223,29 @@ def test_a_changed_inertia_moves_as_a_recompiled_model(field, edit):
 def test_friction_follows_a_changed_mass():
     # The weights of the constraint solver are derived from the masses.
     xml = model_xml(SLIDE.replace("damping", 'frictionloss="0.5" damping'))
-    model, edited = mujoco.MjModel.from_xml_string(xml), mujoco.MjModel.from_xml_string(xml.replace("1.3", "5"))
+    model, edited = (
+        mujoco.MjModel.from_xml_string(xml),
+        mujoco.MjModel.from_xml_string(xml.replace("1.3", "5")),
+    )
     time = np.arange(21) * 0.02
-    out = MujocoC(model).rollout(request(model, time, [0.3], [1.0], {"body_mass": edited.body_mass[None], "body_inertia": edited.body_inertia[None]}))[0]
+    out = MujocoC(model).rollout(
+        request(
+            model,
+            time,
+            [0.3],
+            [1.0],
+            {"body_mass": edited.body_mass[None], "body_inertia": edited.body_inertia[None]},
+        )
+    )[0]
     np.testing.assert_allclose(out, stepped(edited, [0.3], [1.0], 200)[::10], atol=1e-12)
 
 
 def test_sensors_describe_the_state_before_the_step(compiled):
     model = compiled(HINGE, '<sensor><jointvel name="speed" joint="hinge"/></sensor>')
     time = np.arange(5) * 0.002
-    out = MujocoC(model).rollout(request(model, time, [0.4], [-1.0], columns=["qvel/hinge", "sensor/speed"]))[0]
+    out = MujocoC(model).rollout(request(model, time, [0.4], [-1.0], columns=["qvel/hinge", "sensor/speed"]))[
+        0
+    ]
     np.testing.assert_array_equal(out[:-1, 0], out[:-1, 1])
 
 

@@ -138,7 +138,9 @@ def test_mode_is_the_closed_form(density, gaussian_problem):
 def test_expansion_knows_the_bend(density):
     """Second derivatives of a function that has some: squares of what the model predicts."""
     bent = replace(density)
-    object.__setattr__(bent, "projected", lambda z: np.stack([z[:, 0] ** 2, z[:, 0] * z[:, 1], z[:, 1]])[None])
+    object.__setattr__(
+        bent, "projected", lambda z: np.stack([z[:, 0] ** 2, z[:, 0] * z[:, 1], z[:, 1]])[None]
+    )
     mode = expand(bent, np.array([1.0, 2.0]), np.eye(2))
     np.testing.assert_allclose(mode.slope, [[2, 0], [2, 1], [0, 1]], atol=1e-9)
     np.testing.assert_allclose(mode.curvature, [[2, 0, 0, 0], [0, 1, 1, 0], [0, 0, 0, 0]], atol=1e-9)

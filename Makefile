@@ -1,0 +1,64 @@
+# Each target works alone on a machine with git, make and a Python >= 3.12: the first one makes .venv.
+# Another Python: make PYTHON=/path/to/python3.13 test
+
+UV_VERSION := 0.13.8
+BIN := .venv/bin
+READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
+
+.PHONY: help test lint format demo bench clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make test    lint, types and all tests"
+	@echo "make demo    conceal an effect, diagnose it, compare"
+	@echo "make lint    ruff and pyright alone"
+	@echo "make format  let ruff put the files in shape"
+	@echo "make bench   the benchmarks"
+	@echo "make clean   remove .venv and caches; results in out/ stay"
+
+test: lint
+	$(BIN)/python -m pytest
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+demo: $(READY)
+	@$(BIN)/python -m det2stoc_bayes.blind.demo
+
+bench: $(READY)
+	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python "$$file" || exit 1; done
+
+clean:
+	rm -rf .venv .pytest_cache .ruff_cache .hypothesis build dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The environment is built anew from nothing but uv.lock; the stamp bears the lock's checksum, so a changed lock
+# brings it up to date, and an unchanged one costs nothing. A Python is believed only if it runs: a shim may not.
+$(READY):
+	@set -e; \
+	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then \
+		found=; \
+		for python in $(PYTHON) python3.12 python3.13 python3.14 python3 python \
+				"$${PYENV_ROOT:-$$HOME/.pyenv}"/versions/3.1[2-9]*/bin/python; do \
+			if "$$python" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 12))' >/dev/null 2>&1; \
+			then found=$$python; break; fi; \
+		done; \
+		if [ -z "$$found" ]; then \
+			echo "error: no Python >= 3.12 that runs and has venv: looked for python3.12, python3.13, python3.14, python3," >&2; \
+			echo "       python on PATH and under ~/.pyenv/versions; install one, or: make PYTHON=/path/to/python test" >&2; \
+			exit 1; \
+		fi; \
+		echo "Making .venv with $$("$$found" --version), $$found"; \
+		rm -rf .venv; \
+		"$$found" -m venv .venv; \
+	fi; \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION); \
+	UV_PYTHON_DOWNLOADS=never VIRTUAL_ENV= $(BIN)/uv sync --frozen --quiet --python $(BIN)/python; \
+	rm -f .venv/.ready-*; \
+	touch $@

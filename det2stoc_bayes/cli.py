@@ -1,0 +1,190 @@
+"""The command `det2stoc`: results to stdout, progress, warnings and errors to stderr.
+
+Exit codes: 0 done; 1 something unforeseen; 2 an error that the user can act on; 130 interrupted.
+"""
+
+import json
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from det2stoc_bayes.errors import Det2StocError
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+    from det2stoc_bayes.progress import Stages
+    from det2stoc_bayes.study import Study
+
+PLAIN_WIDTH = 200  # columns of a table in a pipe or file
+
+app = typer.Typer(
+    name="det2stoc",
+    help="Posteriors over simulator parameters, and the physics that a simulator leaves out.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+
+StudyFolder = Annotated[Path, typer.Argument(metavar="STUDY", help="The study's folder.", show_default=False)]
+Seed = Annotated[int, typer.Option(min=0, help="Everything random follows from it.")]
+Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an unforeseen error.")]
+
+
+def main() -> None:
+    """Run the command line."""
+    app(prog_name="det2stoc")
+
+
+@app.command()
+def check(study: StudyFolder, seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None:
+    """Say what a study's recordings can identify."""
+    with _reporting(debug) as stages:
+        from det2stoc_bayes import identifiability, tables
+
+        checked = identifiability.check(_load(study), progress=stages)
+    _show(tables.check_json(checked) if as_json else tables.check_tables(checked), as_json)
+
+
+@app.command()
+def fit(
+    study: StudyFolder,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where fit.nc goes.", show_default=False)],
+    method: Annotated[str, typer.Option(metavar="NAME", help="An inference method.")] = "nuts",
+    engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
+    num_samples: Annotated[int, typer.Option(min=1, help="Draws in all.")] = 1000,
+    seed: Seed = 0,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Draw from the posterior of a study's psi."""
+    with _reporting(debug) as stages:
+        _check_folder(out)
+        from det2stoc_bayes import posterior, tables, verbs
+        from det2stoc_bayes.inference import get_method
+        from det2stoc_bayes.report.summary import summarize
+
+        get_method(method)  # a name that does not exist is not worth reading a study for
+        believed = _load(study)
+        options = {"seed": seed, "engine": engine, "num_samples": num_samples, "progress": stages}
+        tree = verbs.fit(believed, method, **options)
+        rows, path = summarize(tree), out / "fit.nc"
+        posterior.save(tree, path)
+    title = f"{believed.name}, {method}: {num_samples} draws in {path}"
+    shown = tables.fit_json(rows, tree.attrs, str(path)) if as_json else tables.fit_table(rows, title)
+    _show(shown, as_json)
+
+
+@app.command()
+def diagnose(
+    study: StudyFolder,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the report goes.", show_default=False)],
+    seed: Seed = 0,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Find and model what the simulator leaves out."""
+    with _reporting(debug) as stages:
+        _check_folder(out)
+        from det2stoc_bayes import tables
+        from det2stoc_bayes.mismatch.diagnose import diagnose as run
+
+        diagnosis = run(_load(study), seed=seed, progress=stages)
+        diagnosis.write(out)
+    finding = diagnosis.finding
+    _show(finding.model_dump(mode="json") if as_json else tables.finding_tables(finding), as_json)
+    if not as_json:
+        _show(f"Report: {out / 'report.html'}", as_json)
+
+
+@app.command()
+def effects(seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None:
+    """List the effects that a diagnosis knows."""
+    with _reporting(debug):
+        from det2stoc_bayes import tables
+        from det2stoc_bayes.mismatch.effects import CATALOGUE
+    _show(tables.effects_json(CATALOGUE) if as_json else tables.effects_table(CATALOGUE), as_json)
+
+
+def _load(folder: Path) -> "Study":
+    from det2stoc_bayes.study import load_study
+
+    return load_study(folder)
+
+
+def _check_folder(out: Path) -> None:
+    """A folder for results that cannot be one is an error before the work, not after it."""
+    for path in (out, *out.parents):
+        if path.exists():
+            if not path.is_dir():
+                raise Det2StocError(f"--out {out}: {path} is a file; allowed: a folder, or a new name")
+            return
+
+
+@contextmanager
+def _reporting(debug: bool) -> "Iterator[Stages]":
+    """Progress for the work inside; its warnings and errors as lines on stderr, its errors as exit codes."""
+    from rich.console import Console
+
+    from det2stoc_bayes.progress import Stages
+
+    console = Console(stderr=True)
+    try:
+        with Stages(console) as stages, _warnings_on(console):
+            yield stages
+    except Det2StocError as error:
+        raise _exit(console, f"error: {error}", 2) from error
+    except KeyboardInterrupt as error:
+        raise _exit(console, "interrupted: what is finished is kept", 130) from error
+    except Exception as error:
+        if debug:
+            raise
+        reason = " ".join(str(error).split())
+        what = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
+        raise _exit(console, f"unforeseen error: {what} (--debug shows where)", 1) from error
+
+
+def _exit(console: "Console", line: str, code: int) -> typer.Exit:
+    console.print(line, style="red", markup=False, highlight=False, soft_wrap=True)
+    return typer.Exit(code)
+
+
+@contextmanager
+def _warnings_on(console: "Console") -> Iterator[None]:
+    """What a study's reader warns of, each once; what libraries warn of is not the user's to mend."""
+    from det2stoc_bayes.recording import StudyWarning
+
+    seen = set()
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        if isinstance(message, StudyWarning) and str(message) not in seen:
+            seen.add(str(message))
+            line = f"warning: {message}"
+            console.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", StudyWarning)
+        warnings.showwarning = show
+        yield
+
+
+def _show(result: "RenderableType | dict[str, Any] | list[Any]", as_json: bool) -> None:
+    """To stdout: JSON with null for what is not a number, or tables, in colour on a terminal alone."""
+    if as_json:
+        from det2stoc_bayes.mismatch.finding import plain
+
+        print(json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False))
+        return
+    from rich.console import Console
+
+    console = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+    console.print(result, soft_wrap=isinstance(result, str))

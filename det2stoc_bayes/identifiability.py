@@ -1,0 +1,129 @@
+"""What a study's recordings can and cannot identify, from one quick fit."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from det2stoc_bayes.errors import SimulationDiverged
+from det2stoc_bayes.mismatch.horizon import climb
+from det2stoc_bayes.optimize import Fit
+from det2stoc_bayes.problem import Problem, make_problem
+from det2stoc_bayes.simulator import Simulator
+from det2stoc_bayes.study import Study
+
+IDENTIFIABLE, WEAK = 0.3, 0.9  # posterior sd over prior sd, both of the standard-normal unknown: below it
+ENTANGLED = 0.95  # correlation beyond which two unknowns are found together only
+
+type Verdict = Literal["identifiable", "weak", "not identifiable"]
+type Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class CheckedParameter:
+    """A psi after the quick fit; `sd_ratio` is its posterior sd over its prior sd."""
+
+    name: str
+    mean: float
+    sd: float
+    sd_ratio: float
+    verdict: Verdict
+    entangled: tuple[str, ...]  # with these its value can be traded
+
+
+@dataclass(frozen=True)
+class CheckedRecording:
+    """A recording; `misfit` is the rms of recorded minus simulated in noise sds, None if not simulated."""
+
+    name: str
+    role: Literal["recording", "holdout"]
+    samples: int
+    seconds: float
+    columns: tuple[str, ...]
+    misfit: float | None
+
+
+@dataclass(frozen=True)
+class CheckedColumn:
+    """A measured column and 1 sd of its noise, given by the study or estimated from its scatter."""
+
+    name: str
+    noise: float
+    given: bool
+
+
+@dataclass(frozen=True)
+class Check:
+    """All of it. The misfit is that of psi at its prior's median, before anything was fitted."""
+
+    study: Study
+    parameters: tuple[CheckedParameter, ...]
+    recordings: tuple[CheckedRecording, ...]
+    columns: tuple[CheckedColumn, ...]
+    noise_inflation: float  # mean squared whitened residual of the quick fit
+
+
+def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
+    """Simulate each recording once, then fit psi quickly; SimulationDiverged where nothing stays finite."""
+    progress("simulating each recording at the prior's median", 0, 1)
+    problem = make_problem(Simulator(study))
+    misfit = _misfit(problem)
+    progress("simulating each recording at the prior's median", 1, 1)
+    progress("fitting psi quickly", 0, 1)
+    fit = climb(problem)
+    if fit is None:
+        raise SimulationDiverged(
+            f"{study.model_path}: the simulation diverges from every recorded start; allowed: one that stays "
+            "finite (check units, the timestep and the recordings' first samples)"
+        )
+    progress("fitting psi quickly", 1, 1)
+    columns = problem.segments.columns
+    noise = tuple(
+        CheckedColumn(c, float(sd), c in study.noise) for c, sd in zip(columns, problem.noise, strict=True)
+    )
+    return Check(study, _parameters(fit), _recordings(study, misfit), noise, float(fit.noise_inflation))
+
+
+def _misfit(problem: Problem) -> dict[str, float]:
+    """Recording -> rms of its whitened residual at the prior's median; inf where the simulation diverges."""
+    request = problem.request(np.zeros((1, problem.size)), problem.guess.start)
+    whitened = problem.residuals(problem.simulator.rollout(request)) * problem.weight
+    out = {}
+    for s, r in enumerate(problem.segments.recording):
+        seen = whitened[s][problem.weight[s] > 0]
+        finite = len(seen) and np.isfinite(seen).all()
+        out[problem.segments.recordings[r].name] = float(np.sqrt(np.mean(seen**2))) if finite else np.inf
+    return out
+
+
+def _recordings(study: Study, misfit: dict[str, float]) -> tuple[CheckedRecording, ...]:
+    return tuple(
+        CheckedRecording(
+            r.name, role, len(r.time), float(r.time[-1] - r.time[0]), r.columns,
+            misfit.get(r.name) if role == "recording" else None,
+        )
+        for role, group in (("recording", study.recordings), ("holdout", study.holdout))
+        for r in group
+    )  # fmt: skip
+
+
+def _parameters(fit: Fit) -> tuple[CheckedParameter, ...]:
+    problem, z = fit.problem, fit.point.z
+    sd = np.sqrt(np.diag(fit.covariance))
+    correlation = fit.covariance / np.outer(sd, sd)
+    middle, above, below = (problem.psi(z + step) for step in (0.0, sd, -sd))
+    out = []
+    for j, p in enumerate(problem.simulator.parameters):
+        ratio = float(sd[j])  # of a standard normal, whose prior sd is 1
+        verdict: Verdict = (
+            "identifiable" if ratio < IDENTIFIABLE else "weak" if ratio < WEAK else "not identifiable"
+        )
+        others = tuple(
+            q.name
+            for k, q in enumerate(problem.simulator.parameters)
+            if k != j and abs(correlation[j, k]) > ENTANGLED
+        )
+        spread = float(abs(above[j] - below[j]) / 2)
+        out.append(CheckedParameter(p.name, float(middle[j]), spread, ratio, verdict, others))
+    return tuple(out)

@@ -1,0 +1,238 @@
+"""Writes effects.py: the laws as they stand in the catalogue, and what calls them in a plain MuJoCo loop."""
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from det2stoc_bayes.errors import ModelError
+from det2stoc_bayes.mismatch import effects_runtime as runtime
+from det2stoc_bayes.mismatch.effects.base import Effect, PlacedEffect
+
+Values = Mapping[str, float | int | str | Sequence[float] | np.ndarray]  # of an effect's parameters
+# Hook of an effect -> its table in effects.py, and the functions of the runtime that serve it.
+_COLUMNS = ("measure", "at_time", "arrays", "place_of")
+_SERVED: dict[str, tuple[str, tuple[str, ...]]] = {
+    "joint_force": ("JOINT_FORCES", ("add_joint_forces",)),
+    "body_force": ("BODY_FORCES", ("add_body_forces", "copy_state")),
+    "control": ("CONTROLS", ("rewrite_controls", "follow")),
+    "sample_time": ("SAMPLE_TIMES", ("remember_state", "follow")),
+    "reading": ("READINGS", ()),
+}
+_STEPS = {
+    "control": "rewrite_controls",
+    "joint_force": "add_joint_forces",
+    "body_force": "add_body_forces",
+    "sample_time": "remember_state",
+}
+_ALWAYS = ("Memory", "memory_of", "copy_state", *_COLUMNS)
+_LOOP = """
+    model = mujoco.MjModel.from_xml_path("patched.xml")
+    data = mujoco.MjData(model)
+    effects.reset(model, data)                  # after each reset of data
+    while True:
+        data.ctrl[:] = command                  # as recorded
+        data.qfrc_applied[:] = 0
+        data.xfrc_applied[:] = 0
+        effects.control(model, data)            # before each step
+        mujoco.mj_step(model, data)
+        effects.measure(model, data, ["qpos/...", "sensor/..."])
+"""
+
+
+@dataclass(frozen=True)
+class FieldWrite:
+    """A field of mjModel that MJCF cannot express: its rows (empty for opt) and their values."""
+
+    field: str
+    rows: tuple[int, ...]
+    values: object
+
+
+def hooks_of(effect: Effect) -> tuple[str, ...]:
+    """The hooks through which an effect acts in effects.py; a force that MJCF has a field for is none."""
+    used = [h for h in _SERVED if effect.uses(h)]
+    return tuple(h for h in used if not (h == "joint_force" and effect.changes))
+
+
+def module_text(
+    effects: Sequence[tuple[PlacedEffect, Values]], fields: Sequence[FieldWrite] = ()
+) -> str | None:
+    """The text of effects.py, or None where the model's file says it all."""
+    active = [(placed, values, hooks_of(placed.effect)) for placed, values in effects]
+    hooks = [h for h in _SERVED if any(h in used for _, _, used in active)]
+    if not hooks and not fields:
+        return None
+    laws = _Laws()
+    tables: dict[str, list[str]] = {h: [] for h in _SERVED}
+    constants = []
+    for number, (placed, values, used) in enumerate((a for a in active if a[2]), 1):
+        constants.append(_parameters(number, placed, values))
+        for hook in used:
+            row = [
+                repr(placed.element.column or placed.element.name),
+                laws.add(placed.effect, hook),
+                f"P{number}",
+            ]
+            if hook == "control":
+                row.append(repr(placed.effect.memory({k: np.asarray(v) for k, v in values.items()})))
+            tables[hook].append(f"({', '.join(row)})")
+    parts = [
+        _header(active, fields),
+        "\n".join(_imports(hooks)),
+        "\n\n".join(constants),
+        *laws.sources.values(),
+        "\n".join(
+            _table(_SERVED[h][0], tables[h]) for h in _SERVED if h in (*hooks, "sample_time", "reading")
+        ),
+        _fields_table(fields) if fields else "",
+        "MEMORIES = WeakKeyDictionary()  # data object -> what is remembered of it",
+        *_runtime_sources(hooks, bool(fields)),
+        _reset(bool(fields)),
+        _control([_STEPS[h] for h in _STEPS if h in hooks]),
+    ]
+    text = re.sub(r"\n{4,}", "\n\n\n", "\n\n\n".join(p.strip("\n") for p in parts if p)) + "\n"
+    compile(text, "effects.py", "exec")
+    return text
+
+
+class _Laws:
+    """The effects' own functions as plain ones, with the helpers they call."""
+
+    def __init__(self):
+        self.sources: dict[str, str] = {}
+
+    def add(self, effect: Effect, hook: str) -> str:
+        """Embeds a method; gives its name in effects.py."""
+        name = f"{effect.name}_{hook}"
+        if name not in self.sources:
+            self.sources[name] = ""  # a helper that calls it back finds it
+            function = getattr(type(effect), hook)
+            self.sources[name] = self._plain(function, name, effect)
+        return name
+
+    def _plain(self, function: Callable, name: str, effect: Effect | None) -> str:
+        source = textwrap.dedent(inspect.getsource(function))
+        if effect is not None:
+            source = re.sub(r"^((?:@.*\n)*)def \w+\(self(, )?", rf"def {name}(", source, count=1)
+            source = re.sub(r"\bself\.(\w+)", lambda m: self._own(effect, m[1]), source)
+        tree = ast.parse(source)
+        used = {node.id for node in ast.walk(_bare(tree)) if isinstance(node, ast.Name)}
+        if used & {"self", "super", "cls"}:
+            raise ModelError(
+                f"effects.py: {name} needs its class for more than self.<name>; allowed: nothing else"
+            )
+        for outside in sorted(used & set(function.__globals__)):
+            self._outside(outside, function.__globals__[outside], name)
+        return source if _is_bare(source) else ast.unparse(tree)
+
+    def _own(self, effect: Effect, attribute: str) -> str:
+        if callable(getattr(effect, attribute)):
+            return self.add(effect, attribute)
+        return repr(getattr(effect, attribute))
+
+    def _outside(self, name: str, value: object, user: str) -> None:
+        """What a law takes from around it: numpy, a function of ours, or a number."""
+        if value is np or name in self.sources:
+            return
+        if inspect.isfunction(value):
+            self.sources[name] = self._plain(value, name, None)
+        elif isinstance(value, int | float | str | tuple):
+            self.sources[name] = f"{name} = {value!r}"
+        elif isinstance(value, np.ndarray):
+            self.sources[name] = f"{name} = np.array({value.tolist()!r})"
+        else:
+            found = f"{user} uses {name}, which is {type(value).__name__}"
+            raise ModelError(f"effects.py: {found}; allowed: functions, numbers, numpy as np")
+
+
+def _bare(tree: ast.Module) -> ast.Module:
+    """The same without annotations: types of this package would not be found beside effects.py."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            node.returns = None
+            for argument in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs):
+                argument.annotation = None
+    return tree
+
+
+def _is_bare(source: str) -> bool:
+    tree = ast.parse(source)
+    return ast.dump(tree) == ast.dump(_bare(ast.parse(source)))
+
+
+def _header(
+    active: Sequence[tuple[PlacedEffect, Values, tuple[str, ...]]], fields: Sequence[FieldWrite]
+) -> str:
+    lines = [f"What patched.xml cannot hold, for MuJoCo {mujoco.__version__}; needs mujoco and numpy.", ""]
+    for number, (placed, values, _) in enumerate((a for a in active if a[2]), 1):
+        lines.append(f"{number}. {placed.label}: {placed.effect.law_text}")
+        lines += [f"   {text}" for text in parameter_texts(placed, values)]
+    if fields:
+        lines.append(
+            f"Fields that MJCF cannot express, which reset writes: {', '.join(f.field for f in fields)}."
+        )
+    text = "\n".join([*lines, "", "Use:"]).replace("\\", "/").replace('"""', "'")
+    return f'"""{text}\n{_LOOP}"""'
+
+
+def _imports(hooks: Sequence[str]) -> list[str]:
+    names = ["from types import SimpleNamespace"] if {"joint_force", "body_force"} & set(hooks) else []
+    return [*names, "from weakref import WeakKeyDictionary", "", "import mujoco", "import numpy as np"]
+
+
+def _parameters(number: int, placed: PlacedEffect, values: Values) -> str:
+    lines = [f"# {number}. {placed.label}: {placed.effect.law_text}", f"P{number} = {{"]
+    for p in placed.effect.parameters:
+        lines.append(f'    "{p.name}": {_literal(values[p.name])},  # {p.unit_on(placed.element)}')
+    return "\n".join([*lines, "}"])
+
+
+def parameter_texts(placed: PlacedEffect, values: Values) -> list[str]:
+    """Each parameter for a reader, as `force = 0.31 N m`."""
+    out = []
+    for p in placed.effect.parameters:
+        numbers = [f"{float(v):.4g}" for v in np.ravel(np.asarray(values[p.name]))]
+        text = numbers[0] if np.ndim(values[p.name]) == 0 else f"({', '.join(numbers)})"
+        out.append(f"{p.name} = {text} {p.unit_on(placed.element)}")
+    return out
+
+
+def _literal(value: float | int | str | Sequence[float] | np.ndarray) -> str:
+    if isinstance(value, str):
+        return repr(value)
+    numbers = np.asarray(value, dtype=float)
+    return f"np.array({numbers.tolist()!r})" if numbers.ndim else f"np.float64({float(numbers)!r})"
+
+
+def _table(name: str, rows: Sequence[str]) -> str:
+    return f"{name} = (" + "".join(f"\n    {row}," for row in rows) + ("\n)" if rows else ")")
+
+
+def _fields_table(fields: Sequence[FieldWrite]) -> str:
+    return _table("FIELDS", [f"({f.field!r}, {f.rows!r}, {f.values!r})" for f in fields])
+
+
+def _runtime_sources(hooks: Sequence[str], fields: bool) -> list[str]:
+    served = (
+        {name for h in hooks for name in _SERVED[h][1]}
+        | set(_ALWAYS)
+        | ({"write_fields"} if fields else set())
+    )
+    members = [v for v in vars(runtime).values() if getattr(v, "__module__", "") == runtime.__name__]
+    return [inspect.getsource(m) for m in members if m.__name__ in served]
+
+
+def _reset(fields: bool) -> str:
+    source = inspect.getsource(runtime.reset)
+    return source + "    write_fields(model)\n" if fields else source
+
+
+def _control(steps: Sequence[str]) -> str:
+    doc = '    """Before each step, once ctrl is commanded and the applied forces are zeroed."""'
+    return "\n".join(["def control(model, data):", doc, *(f"    {step}(model, data)" for step in steps)])

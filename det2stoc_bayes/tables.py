@@ -1,0 +1,181 @@
+"""What the commands print on stdout: results as tables, and the same results as plain mappings for --json."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from det2stoc_bayes.identifiability import Check
+    from det2stoc_bayes.mismatch.effects.base import Effect
+    from det2stoc_bayes.mismatch.finding import Finding
+    from det2stoc_bayes.report.summary import Row
+    from det2stoc_bayes.study import Parameter
+
+COLOUR = {"identifiable": "green", "weak": "yellow", "not identifiable": "red"}
+MISSING = "-"
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """`0.3121`, or `-` where there is none."""
+    return MISSING if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
+
+
+def table(title: str, *headings: str) -> Table:
+    """A plain table; a heading that ends in `>` is of numbers."""
+    made = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False)
+    for heading in headings:
+        made.add_column(heading.rstrip(">"), justify="right" if heading.endswith(">") else "left")
+    return made
+
+
+def prior_text(parameter: "Parameter") -> str:
+    """As `Normal(loc=1, scale=0.2)`."""
+    prior = parameter.prior
+    return f"{prior.family}({', '.join(f'{k}={v:g}' for k, v in prior.arguments.items())})"
+
+
+def target_text(parameter: "Parameter") -> str:
+    """As `pair/floor_box/friction[0, 1]`."""
+    index = "" if parameter.index is None else f"[{', '.join(map(str, parameter.index))}]"
+    return f"{parameter.target}{index}"
+
+
+# --- check ------------------------------------------------------------
+def check_json(checked: "Check") -> dict[str, Any]:
+    """All of a check."""
+    psi = [
+        {
+            "name": p.name, "target": str(p.target), "index": p.index, "varies": p.varies,
+            "prior": {p.prior.family: dict(p.prior.arguments)}, "mean": c.mean, "sd": c.sd,
+            "sd_ratio": c.sd_ratio, "verdict": c.verdict, "entangled": c.entangled,
+        }
+        for p, c in zip(checked.study.parameters, checked.parameters, strict=True)
+    ]  # fmt: skip
+    return {
+        "study": checked.study.name,
+        "psi": psi,
+        "recordings": [vars(r) for r in checked.recordings],
+        "columns": [vars(c) for c in checked.columns],
+        "noise_inflation": checked.noise_inflation,
+    }
+
+
+def check_tables(checked: "Check") -> RenderableType:
+    """All of a check: psi, recordings, columns, and in words what cannot be told apart."""
+    psi = table("psi", "name", "sets", "prior", "varies", "mean>", "sd>", "sd / prior sd>", "")
+    for p, c in zip(checked.study.parameters, checked.parameters, strict=True):
+        psi.add_row(
+            p.name, escape(target_text(p)), prior_text(p), p.varies, number(c.mean), number(c.sd, 2),
+            number(c.sd_ratio, 2), f"[{COLOUR[c.verdict]}]{c.verdict}",
+        )  # fmt: skip
+    recordings = table("recordings", "name", "role", "samples>", "seconds>", "columns>", "misfit / noise sd>")
+    for r in checked.recordings:
+        misfit = "diverges" if r.misfit == math.inf else number(r.misfit, 3)
+        recordings.add_row(
+            escape(r.name), r.role, str(r.samples), number(r.seconds), str(len(r.columns)), misfit
+        )
+    columns = table("columns", "name", "noise sd>", "")
+    for c in checked.columns:
+        columns.add_row(escape(c.name), number(c.noise, 3), "given" if c.given else "estimated")
+    pairs = {tuple(sorted((p.name, other))) for p in checked.parameters for other in p.entangled}
+    notes = [
+        f"{a} and {b} are found together only: one can be traded for the other." for a, b in sorted(pairs)
+    ]
+    return _stack([psi, recordings, columns, *(Text(n) for n in notes)])
+
+
+# --- fit ------------------------------------------------------------
+def fit_json(rows: Sequence["Row"], attributes: Mapping[str, Any], path: str) -> dict[str, Any]:
+    """A fit's summary, and where the whole of it is."""
+    about = {
+        k: attributes[k]
+        for k in ("method", "engine", "seed", "seconds_run", "simulations")
+        if k in attributes
+    }
+    return about | {"file": path, "parameters": [vars(r) for r in rows]}
+
+
+def fit_table(rows: Sequence["Row"], title: str) -> RenderableType:
+    """A fit's summary."""
+    made = table(title, "name", "mean>", "sd>", "95 % interval", "R-hat>", "ESS>")
+    for r in rows:
+        low, high = r.interval
+        r_hat = MISSING if r.r_hat is None else f"{r.r_hat:.3f}"
+        ess = MISSING if r.ess is None else f"{r.ess:.0f}"
+        made.add_row(
+            escape(r.name), number(r.mean), number(r.sd, 2), f"{number(low)} to {number(high)}", r_hat, ess
+        )
+    return made
+
+
+# --- diagnose ------------------------------------------------------------
+def finding_tables(finding: "Finding") -> RenderableType:
+    """A finding: what is left out with how much, the doubtful candidates, and psi before and after."""
+    found = table("effects", "effect", "on", "parameter", "mean>", "95 % interval", "unit", "probability>")
+    for effect in finding.effects:
+        head = (effect.name, f"{effect.element.kind} {effect.element.name}")
+        for name, value in effect.parameters.items():
+            mean, interval = getattr(value, "mean", value), getattr(value, "interval", None)
+            unit = getattr(value, "unit", "")
+            cells = (name, _plain(mean), _plain(interval, " to "), unit, number(effect.probability, 3))
+            found.add_row(*(escape(cell) for cell in (*head, *cells)))
+            head = ("", "")
+    candidates = table("candidates", "effect", "on", "probability>")
+    for c in finding.candidates:
+        on = "" if c.element is None else f"{c.element.kind} {c.element.name}"
+        candidates.add_row(c.name, escape(on), number(c.probability, 3))
+    psi = table("psi", "name", "before>", "after>")
+    for name, change in finding.psi.items():
+        sides = (f"{_plain(m.mean)} +- {_plain(m.sd)}" for m in (change.before, change.after))
+        psi.add_row(name, *(escape(side) for side in sides))
+    parts: list[RenderableType] = [Text(f"{finding.verdict}: {finding.summary}", style="bold")]
+    parts += [t for t in (found, candidates, psi) if t.row_count]
+    if finding.experiment is not None:
+        parts.append(Text(finding.experiment.text))
+    return _stack(parts)
+
+
+def _plain(value: Any, between: str = ", ") -> str:
+    """Numbers, or vectors of them, in short."""
+    if isinstance(value, list | tuple):
+        return between.join(_plain(v) for v in value)
+    return number(value) if isinstance(value, int | float) else MISSING if value is None else str(value)
+
+
+# --- effects ------------------------------------------------------------
+def effects_json(catalogue: Mapping[str, "Effect"]) -> list[dict[str, Any]]:
+    """The catalogue; a unit has two forms where it is that of a slide joint or of a hinge."""
+    return [
+        {
+            "name": e.name,
+            "element": e.kind,
+            "law": e.law_text,
+            "latex": e.law,
+            "parameters": [{"name": p.name, "unit": p.unit} for p in e.parameters],
+            "description": (type(e).__doc__ or "").strip().splitlines()[0],
+        }
+        for e in catalogue.values()
+    ]
+
+
+def effects_table(catalogue: Mapping[str, "Effect"]) -> RenderableType:
+    """The catalogue."""
+    made = table("effects", "name", "on a", "law", "parameters")
+    for e in catalogue.values():
+        units = (" or ".join([p.unit] if isinstance(p.unit, str) else p.unit) for p in e.parameters)
+        named = (f"{p.name} [{unit}]" for p, unit in zip(e.parameters, units, strict=True))
+        made.add_row(e.name, e.kind, escape(e.law_text), escape(", ".join(named)))
+    return made
+
+
+def _stack(parts: Sequence[RenderableType]) -> RenderableType:
+    """One below the other, a blank line between."""
+    spaced: list[RenderableType] = []
+    for part in parts:
+        spaced += [part, ""]
+    return Group(*spaced[:-1])
