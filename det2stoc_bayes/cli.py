@@ -4,11 +4,13 @@ Exit codes: 0 done; 1 something unforeseen; 2 an error that the user can act on;
 """
 
 import json
+import signal
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event, current_thread, main_thread
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -16,10 +18,11 @@ import typer
 from det2stoc_bayes.errors import Det2StocError
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
+    # Dotted names, so that the checker of the tests can look them up.
+    import rich.console
 
-    from det2stoc_bayes.progress import Stages
-    from det2stoc_bayes.study import Study
+    import det2stoc_bayes.progress
+    import det2stoc_bayes.study
 
 PLAIN_WIDTH = 200  # columns of a table in a pipe or file
 
@@ -114,7 +117,7 @@ def effects(seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None
     _show(tables.effects_json(CATALOGUE) if as_json else tables.effects_table(CATALOGUE), as_json)
 
 
-def _load(folder: Path) -> "Study":
+def _load(folder: Path) -> "det2stoc_bayes.study.Study":
     from det2stoc_bayes.study import load_study
 
     return load_study(folder)
@@ -130,21 +133,22 @@ def _check_folder(out: Path) -> None:
 
 
 @contextmanager
-def _reporting(debug: bool) -> "Iterator[Stages]":
+def _reporting(debug: bool) -> Iterator["det2stoc_bayes.progress.Stages"]:
     """Progress for the work inside; its warnings and errors as lines on stderr, its errors as exit codes."""
     from rich.console import Console
 
     from det2stoc_bayes.progress import Stages
 
     console = Console(stderr=True)
+    interrupted = Event()
     try:
-        with Stages(console) as stages, _warnings_on(console):
+        with _interrupting(interrupted), Stages(console) as stages, _warnings_on(console):
             yield stages
-    except Det2StocError as error:
-        raise _exit(console, f"error: {error}", 2) from error
-    except KeyboardInterrupt as error:
-        raise _exit(console, "interrupted: what is finished is kept", 130) from error
-    except Exception as error:
+    except (Exception, KeyboardInterrupt) as error:
+        if interrupted.is_set() or isinstance(error, KeyboardInterrupt):
+            raise _exit(console, "interrupted", 130) from error
+        if isinstance(error, Det2StocError):
+            raise _exit(console, f"error: {error}", 2) from error
         if debug:
             raise
         reason = " ".join(str(error).split())
@@ -152,13 +156,31 @@ def _reporting(debug: bool) -> "Iterator[Stages]":
         raise _exit(console, f"unforeseen error: {what} (--debug shows where)", 1) from error
 
 
-def _exit(console: "Console", line: str, code: int) -> typer.Exit:
+@contextmanager
+def _interrupting(interrupted: Event) -> Iterator[None]:
+    """Remembers a Ctrl-C: libraries turn a KeyboardInterrupt in one of their callbacks into errors of their own."""
+
+    def note(*_: Any) -> None:
+        interrupted.set()
+        raise KeyboardInterrupt
+
+    if current_thread() is not main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _exit(console: "rich.console.Console", line: str, code: int) -> typer.Exit:
     console.print(line, style="red", markup=False, highlight=False, soft_wrap=True)
     return typer.Exit(code)
 
 
 @contextmanager
-def _warnings_on(console: "Console") -> Iterator[None]:
+def _warnings_on(console: "rich.console.Console") -> Iterator[None]:
     """What a study's reader warns of, each once; what libraries warn of is not the user's to mend."""
     from det2stoc_bayes.recording import StudyWarning
 
@@ -177,7 +199,7 @@ def _warnings_on(console: "Console") -> Iterator[None]:
         yield
 
 
-def _show(result: "RenderableType | dict[str, Any] | list[Any]", as_json: bool) -> None:
+def _show(result: "rich.console.RenderableType | dict[str, Any] | list[Any]", as_json: bool) -> None:
     """To stdout: JSON with null for what is not a number, or tables, in colour on a terminal alone."""
     if as_json:
         from det2stoc_bayes.mismatch.finding import plain

@@ -112,7 +112,7 @@ def _parameters(fit: Fit) -> tuple[CheckedParameter, ...]:
     problem, z = fit.problem, fit.point.z
     sd = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(sd, sd)
-    middle, above, below = (problem.psi(z + step) for step in (0.0, sd, -sd))
+    middle, above, below = problem.psi(np.stack([z, z + sd, z - sd]))
     out = []
     for j, p in enumerate(problem.simulator.parameters):
         ratio = float(sd[j])  # of a standard normal, whose prior sd is 1

@@ -128,13 +128,13 @@ def observed_data(problem: Problem) -> xr.Dataset:
     segments = problem.segments
     count = len(segments.recordings)
     lengths = [
-        sum(_length(segments, s) for s in np.flatnonzero(segments.recording == r)) for r in range(count)
+        sum(_length(segments.time[s]) for s in np.flatnonzero(segments.recording == r)) for r in range(count)
     ]
     time = np.full((count, max(lengths)), np.nan)
     values = np.full((*time.shape, len(segments.columns)), np.nan)
     filled = [0] * count
     for s, r in enumerate(segments.recording):
-        n, a = _length(segments, s), filled[r]
+        n, a = _length(segments.time[s]), filled[r]
         time[r, a : a + n], values[r, a : a + n] = segments.time[s, :n], segments.values[s, :n]
         filled[r] = a + n
     names = [r.name for r in segments.recordings]
@@ -144,9 +144,9 @@ def observed_data(problem: Problem) -> xr.Dataset:
     )
 
 
-def _length(segments, s: int) -> int:
+def _length(time: Float[np.ndarray, " samples"]) -> int:
     """Samples of a segment without its padding (which repeats the last time)."""
-    return int(np.searchsorted(segments.time[s], segments.time[s, -1])) + 1
+    return int(np.searchsorted(time, time[-1])) + 1
 
 
 @cache

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
+from det2stoc_bayes.errors import MethodNotApplicable
 from det2stoc_bayes.layout import integrate_positions, quaternion_groups
 from det2stoc_bayes.likelihood import residuals
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
@@ -111,7 +112,15 @@ class Problem:
 
 
 def make_problem(simulator: Simulator, *, num_samples: int | None = None, noise=None) -> Problem:
-    """A study's recordings cut into segments of `num_samples` samples (None: whole recordings)."""
+    """A study's recordings cut into segments of `num_samples` samples (None: whole recordings).
+
+    Raises MethodNotApplicable for a psi that varies from recording to recording.
+    """
+    for p in simulator.parameters:
+        if p.varies != "never":
+            raise MethodNotApplicable(
+                f'{simulator.study.name}: psi.{p.name}.varies is "{p.varies}", for which there is no likelihood; '
+                'allowed: "never"')
     segments = cut(simulator.study.recordings, num_samples)
     sd = noise_sd(segments, simulator.study.noise) if noise is None else noise
     return Problem(simulator, segments, sd, guess_starts(simulator.model, segments))

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from det2stoc_bayes import layout
 from det2stoc_bayes.engines.base import Counter, Engine, Request
 from det2stoc_bayes.engines.mujoco_c import MujocoC
 from det2stoc_bayes.errors import EngineError
 from det2stoc_bayes.mismatch.effects.base import Element
-from det2stoc_bayes.model_names import compile_model, field_of
-from det2stoc_bayes.study import Parameter, Study, Target
+from det2stoc_bayes.model_names import compile_model, field_of, rows_of
+from det2stoc_bayes.study import Study, Target
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Simulator:
 
     def __init__(self, study: Study, engine: str = "c", num_threads: int = 0):
         self.study = study
-        self.model = compile_model(study.model_path)
+        self.model = compile_model(study.model_path, study.folder)
         self.parameters = study.parameters
         self.addresses = tuple(address(self.model, p.target, p.index) for p in study.parameters)
         self.engine = _make_engine(self.model, engine, num_threads)
@@ -106,30 +106,7 @@ def address(model: mujoco.MjModel, target: Target, index: tuple[int, ...] | None
     if target.kind == "opt":
         places = [()] if values.ndim == 0 else [(i,) for i in (index or range(values.shape[0]))]
         return FieldAddress(field, tuple(places))
-    rows = _rows(model, target, field)
+    rows = rows_of(model, target.kind, target.name, target.field)
     inner = list(np.ndindex(values.shape[1:]))
     chosen = [inner[i] for i in index] if index is not None else inner
-    return FieldAddress(field, tuple((row, *component) for row in rows for component in chosen))
-
-
-def _rows(model: mujoco.MjModel, target: Target, field: str) -> list[int]:
-    count = {"body": model.nbody, "joint": model.njnt, "geom": model.ngeom, "pair": model.npair,
-             "actuator": model.nu, "tendon": model.ntendon}[target.kind]
-    accessor = getattr(model, target.kind)
-    ids = range(count) if target.name == "*" else [accessor(target.name).id]
-    if target.kind == "joint" and field.startswith("dof_"):
-        width = {mujoco.mjtJoint.mjJNT_FREE: 6, mujoco.mjtJoint.mjJNT_BALL: 3}
-        return [int(model.jnt_dofadr[j]) + k for j in ids for k in range(width.get(int(model.jnt_type[j]), 1))]
-    if target.kind == "joint" and field in ("qpos_spring", "qpos0"):
-        return [int(model.jnt_qposadr[j]) for j in ids]
-    return [int(i) for i in ids]
-
-
-def recording_names(study: Study, segments_recordings: Sequence, which: Int[np.ndarray, " sims"]) -> list[str]:
-    """Stem of the recording behind each simulation."""
-    return [segments_recordings[r].name for r in which]
-
-
-def parameter_names(parameters: Sequence[Parameter]) -> tuple[str, ...]:
-    """Names of psi in order."""
-    return tuple(p.name for p in parameters)
+    return FieldAddress(field, tuple((int(row), *component) for row in rows for component in chosen))

@@ -10,11 +10,12 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from det2stoc_bayes.identifiability import Check
-    from det2stoc_bayes.mismatch.effects.base import Effect
-    from det2stoc_bayes.mismatch.finding import Finding
-    from det2stoc_bayes.report.summary import Row
-    from det2stoc_bayes.study import Parameter
+    # Dotted names, so that the checker of the tests can look them up.
+    import det2stoc_bayes.identifiability
+    import det2stoc_bayes.mismatch.effects.base
+    import det2stoc_bayes.mismatch.finding
+    import det2stoc_bayes.report.summary
+    import det2stoc_bayes.study
 
 COLOUR = {"identifiable": "green", "weak": "yellow", "not identifiable": "red"}
 MISSING = "-"
@@ -27,26 +28,28 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def table(title: str, *headings: str) -> Table:
     """A plain table; a heading that ends in `>` is of numbers."""
-    made = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False)
+    made = Table(
+        title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False
+    )
     for heading in headings:
         made.add_column(heading.rstrip(">"), justify="right" if heading.endswith(">") else "left")
     return made
 
 
-def prior_text(parameter: "Parameter") -> str:
+def prior_text(parameter: "det2stoc_bayes.study.Parameter") -> str:
     """As `Normal(loc=1, scale=0.2)`."""
     prior = parameter.prior
     return f"{prior.family}({', '.join(f'{k}={v:g}' for k, v in prior.arguments.items())})"
 
 
-def target_text(parameter: "Parameter") -> str:
+def target_text(parameter: "det2stoc_bayes.study.Parameter") -> str:
     """As `pair/floor_box/friction[0, 1]`."""
     index = "" if parameter.index is None else f"[{', '.join(map(str, parameter.index))}]"
     return f"{parameter.target}{index}"
 
 
 # --- check ------------------------------------------------------------
-def check_json(checked: "Check") -> dict[str, Any]:
+def check_json(checked: "det2stoc_bayes.identifiability.Check") -> dict[str, Any]:
     """All of a check."""
     psi = [
         {
@@ -65,7 +68,7 @@ def check_json(checked: "Check") -> dict[str, Any]:
     }
 
 
-def check_tables(checked: "Check") -> RenderableType:
+def check_tables(checked: "det2stoc_bayes.identifiability.Check") -> RenderableType:
     """All of a check: psi, recordings, columns, and in words what cannot be told apart."""
     psi = table("psi", "name", "sets", "prior", "varies", "mean>", "sd>", "sd / prior sd>", "")
     for p, c in zip(checked.study.parameters, checked.parameters, strict=True):
@@ -90,7 +93,9 @@ def check_tables(checked: "Check") -> RenderableType:
 
 
 # --- fit ------------------------------------------------------------
-def fit_json(rows: Sequence["Row"], attributes: Mapping[str, Any], path: str) -> dict[str, Any]:
+def fit_json(
+    rows: Sequence["det2stoc_bayes.report.summary.Row"], attributes: Mapping[str, Any], path: str
+) -> dict[str, Any]:
     """A fit's summary, and where the whole of it is."""
     about = {
         k: attributes[k]
@@ -100,7 +105,7 @@ def fit_json(rows: Sequence["Row"], attributes: Mapping[str, Any], path: str) ->
     return about | {"file": path, "parameters": [vars(r) for r in rows]}
 
 
-def fit_table(rows: Sequence["Row"], title: str) -> RenderableType:
+def fit_table(rows: Sequence["det2stoc_bayes.report.summary.Row"], title: str) -> RenderableType:
     """A fit's summary."""
     made = table(title, "name", "mean>", "sd>", "95 % interval", "R-hat>", "ESS>")
     for r in rows:
@@ -114,7 +119,7 @@ def fit_table(rows: Sequence["Row"], title: str) -> RenderableType:
 
 
 # --- diagnose ------------------------------------------------------------
-def finding_tables(finding: "Finding") -> RenderableType:
+def finding_tables(finding: "det2stoc_bayes.mismatch.finding.Finding") -> RenderableType:
     """A finding: what is left out with how much, the doubtful candidates, and psi before and after."""
     found = table("effects", "effect", "on", "parameter", "mean>", "95 % interval", "unit", "probability>")
     for effect in finding.effects:
@@ -148,7 +153,9 @@ def _plain(value: Any, between: str = ", ") -> str:
 
 
 # --- effects ------------------------------------------------------------
-def effects_json(catalogue: Mapping[str, "Effect"]) -> list[dict[str, Any]]:
+def effects_json(
+    catalogue: Mapping[str, "det2stoc_bayes.mismatch.effects.base.Effect"],
+) -> list[dict[str, Any]]:
     """The catalogue; a unit has two forms where it is that of a slide joint or of a hinge."""
     return [
         {
@@ -163,7 +170,7 @@ def effects_json(catalogue: Mapping[str, "Effect"]) -> list[dict[str, Any]]:
     ]
 
 
-def effects_table(catalogue: Mapping[str, "Effect"]) -> RenderableType:
+def effects_table(catalogue: Mapping[str, "det2stoc_bayes.mismatch.effects.base.Effect"]) -> RenderableType:
     """The catalogue."""
     made = table("effects", "name", "on a", "law", "parameters")
     for e in catalogue.values():

@@ -9,7 +9,7 @@ from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
 
 if TYPE_CHECKING:
-    import xarray as xr
+    import xarray
 
 
 def fit(
@@ -21,7 +21,7 @@ def fit(
     num_samples: int = 1000,
     progress: Callable[[str, int, int], None] | None = None,
     **options: Any,
-) -> "xr.DataTree":
+) -> "xarray.DataTree":
     """The posterior of psi by a method of `det2stoc_bayes.inference`; `options` are the method's own."""
     from det2stoc_bayes.inference import get_method
 

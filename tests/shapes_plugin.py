@@ -3,10 +3,13 @@
 The hook finds it by name, from the option --jaxtyping-packages in pyproject.toml.
 """
 
-from beartype import BeartypeConf, beartype
+import numpy as np
+from beartype import BeartypeConf, BeartypeHintOverrides, beartype
 from beartype.roar import BeartypeDecorHintPep673Exception
 
-_checked = beartype(conf=BeartypeConf(is_pep484_tower=True))  # an int is welcome where a float is asked for
+# Numpy's numbers are numbers, and an int is welcome where a float is asked for.
+_WIDER = BeartypeHintOverrides({int: int | np.integer, float: float | int | np.floating | np.integer})
+_checked = beartype(conf=BeartypeConf(hint_overrides=_WIDER))
 
 
 def checked(thing):

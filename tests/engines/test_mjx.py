@@ -20,7 +20,8 @@ from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect, Typical
 from det2stoc_bayes.segments import cut
 
 SPHERES = """
-<body name="low"><joint name="j" type="slide" axis="0 0 1"/><geom name="a" type="{0}" size="0.1 0.1 0.1"/></body>
+<body name="low"><joint name="j" type="slide" axis="0 0 1"/>
+  <geom name="a" type="{0}" size="0.1 0.1 0.1"/></body>
 <body name="high" pos="0 0 1"><freejoint/><geom name="b" type="{1}" size="0.1 0.1 0.1"/></body>"""
 MOTOR = '<actuator><motor name="turn" joint="hinge" {0}/></actuator>'
 GENERAL = '<actuator><general name="turn" joint="hinge" {0}/></actuator>'

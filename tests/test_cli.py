@@ -1,0 +1,248 @@
+"""The command line: what goes to which stream, exit codes, and that nothing is written after an error."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import HINGE, make_study, model_xml
+from rich.console import Console
+from typer.testing import CliRunner
+
+from det2stoc_bayes import cli, identifiability, progress
+from det2stoc_bayes.errors import StudyError
+from det2stoc_bayes.identifiability import check
+
+TOML = """
+[psi.damping]
+target = "joint/hinge/damping"
+prior = { LogNormal = { loc = -3.0, scale = 0.5 } }
+
+[psi.armature]
+target = "joint/hinge/armature"
+prior = { TruncatedNormal = { loc = 0.0, scale = 1e-9, low = 0.0, high = 2e-9 } }
+
+[noise]
+"qpos/*" = 0.001
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory) -> Path:
+    """A swinging arm: its damping shows, its minute armature cannot."""
+    folder = tmp_path_factory.mktemp("studies") / "arm"
+    return make_study(folder, model_xml(HINGE), TOML, {"swing": _swing()}).folder
+
+
+def _swing():
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(model_xml(HINGE))
+    data, random = mujoco.MjData(model), np.random.default_rng(0)
+    data.qpos[0] = 1.0
+    values = []
+    for _ in range(76):
+        values.append(data.qpos[0] + 0.001 * random.standard_normal())
+        mujoco.mj_step(model, data, 10)
+    return np.arange(76) * 0.02, {"qpos/hinge": values}
+
+
+def run(*arguments: str | Path):
+    """A command in this process."""
+    return CliRunner().invoke(cli.app, [str(a) for a in arguments])
+
+
+def command(*arguments: str | Path, **options) -> subprocess.CompletedProcess:
+    """A command in a process of its own."""
+    line = [sys.executable, "-m", "det2stoc_bayes", *map(str, arguments)]
+    return subprocess.run(line, capture_output=True, text=True, check=False, timeout=240, **options)
+
+
+def test_help_lists_what_exists_and_imports_no_library():
+    code = "import sys; sys.argv = ['det2stoc', '--help']\n"
+    code += "from det2stoc_bayes.cli import main\n"
+    code += "try: main()\n"
+    code += "except SystemExit as end: assert not end.code\n"
+    code += "heavy = {'numpy', 'jax', 'mujoco', 'pydantic', 'xarray', 'scipy'} & set(sys.modules)\n"
+    code += "assert not heavy, heavy"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert shown.returncode == 0, shown.stderr
+    listed = [line.split()[0] for line in shown.stdout.split("Commands:")[1].splitlines() if line.strip()]
+    assert listed == ["check", "fit", "diagnose", "effects"]
+
+
+def test_check_says_what_can_be_identified(study):
+    shown = command("check", study)
+    assert shown.returncode == 0
+    assert "not identifiable" in shown.stdout
+    assert "given" in shown.stdout
+    assert "\x1b" not in shown.stdout + shown.stderr
+    assert shown.stderr.splitlines() == [
+        "simulating each recording at the prior's median",
+        "fitting psi quickly",
+    ]
+
+
+def test_check_as_json(study):
+    shown = run("check", study, "--json")
+    assert shown.exit_code == 0, shown.output
+    answer = json.loads(shown.stdout)
+    assert {p["name"]: p["verdict"] for p in answer["psi"]} == {
+        "damping": "identifiable",
+        "armature": "not identifiable",
+    }
+    damping = answer["psi"][0]
+    assert abs(damping["mean"] - 0.05) < 5 * damping["sd"]
+    assert answer["recordings"] == [
+        {"name": "swing", "role": "recording", "samples": 76, "seconds": 1.5, "columns": ["qpos/hinge"],
+         "misfit": answer["recordings"][0]["misfit"]}
+    ]  # fmt: skip
+    assert answer["columns"] == [{"name": "qpos/hinge", "noise": 0.001, "given": True}]
+    assert 0.5 < answer["noise_inflation"] < 2.0
+
+
+def test_check_names_parameters_that_can_be_traded(tmp_path):
+    prior = "prior = { LogNormal = { loc = -4.2, scale = 0.3 } }\n"
+    toml = f'[psi.rotor]\ntarget = "joint/hinge/armature"\n{prior}'
+    toml += f'[psi.arm]\ntarget = "body/arm/inertia"\nindex = [1]\n{prior}'
+    toml += '[noise]\n"qpos/*" = 0.001\n'
+    checked = check(make_study(tmp_path / "arm", model_xml(HINGE), toml, {"swing": _swing()}))
+    assert {p.name: p.entangled for p in checked.parameters} == {"rotor": ("arm",), "arm": ("rotor",)}
+
+
+def test_fit_writes_a_file_and_a_summary(study, tmp_path):
+    arguments = ("fit", study, "--method", "laplace", "--num-samples", 200, "--out", tmp_path / "out")
+    shown = run(*arguments, "--json")
+    assert shown.exit_code == 0, shown.output
+    answer = json.loads(shown.stdout)
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["fit.nc"]
+    assert answer["file"] == str(tmp_path / "out" / "fit.nc")
+    assert (answer["method"], answer["engine"], answer["seed"]) == ("laplace", "c", 0)
+    first = answer["parameters"][0]
+    assert first["name"] == "damping"
+    assert first["interval"][0] < first["mean"] < first["interval"][1]
+    assert first["ess"] > 50
+    again = run(*arguments)
+    assert again.exit_code == 0
+    assert f"{first['mean']:.4g}" in again.stdout  # the same seed, and what was there is replaced
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("check", "nowhere"), "error: nowhere: no such folder"),
+        (("diagnose", "nowhere", "--out", "out"), "error: nowhere: no such folder"),
+        (("fit", "nowhere", "--out", "out"), "error: nowhere: no such folder"),
+        (("fit", "nowhere", "--method", "nuts2", "--out", "out"), "error: method: unknown method 'nuts2'"),
+        (("fit", "nowhere", "--engine", "bullet", "--out", "out"), "'bullet' is not one of 'c', 'mjx'"),
+        (("fit", "nowhere", "--num-samples", "0", "--out", "out"), "--num-samples"),
+        (("fit", "nowhere"), "Missing option '--out'"),
+        (("check", "nowhere", "--seed", "-1"), "--seed"),
+        (("effects", "--loud"), "No such option"),
+    ],
+)
+def test_an_error_is_clear_and_leaves_nothing(arguments, expected, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shown = run(*arguments)
+    assert shown.exit_code == 2
+    assert expected in shown.stderr
+    assert "Traceback" not in shown.stderr
+    assert not shown.stdout
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_in_place_of_a_folder_is_an_error_before_the_work(study, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    shown = run("fit", study, "--out", tmp_path / "out" / "deep")
+    assert shown.exit_code == 2
+    assert shown.stderr.startswith(f"error: --out {tmp_path}/out/deep: {tmp_path}/out is a file; allowed:")
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_warnings_of_the_study_are_shown_once_and_of_libraries_never(study, monkeypatch):
+    def loaded(folder):
+        import warnings
+
+        from det2stoc_bayes.recording import StudyWarning
+
+        for _ in range(2):
+            warnings.warn("wrist: looks like degrees [1]", StudyWarning, stacklevel=2)
+            warnings.warn("a library's", DeprecationWarning, stacklevel=2)
+        raise StudyError("stop here")
+
+    monkeypatch.setattr(cli, "_load", loaded)
+    shown = run("check", study)
+    assert shown.stderr == "warning: wrist: looks like degrees [1]\nerror: stop here\n"
+
+
+def test_an_unforeseen_error_is_one_line_without_debug(study, monkeypatch):
+    def broken(*_, **__):
+        raise ValueError("first\nsecond")
+
+    monkeypatch.setattr(identifiability, "check", broken)
+    shown = run("check", study)
+    assert shown.exit_code == 1
+    assert shown.stderr == "unforeseen error: ValueError: first second (--debug shows where)\n"
+    assert isinstance(run("check", study, "--debug").exception, ValueError)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGINT to send")
+def test_an_interruption_is_one_line(study):
+    line = [sys.executable, "-m", "det2stoc_bayes", "fit", str(study), "--out", "never"]
+    line += ["--num-samples", "100000000"]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=study)
+    assert process.stderr is not None
+    assert process.stderr.readline() == "sampling\n"
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert error == "interrupted\n"
+    assert not out
+    assert not (study / "never").exists()
+
+
+def test_effects_lists_the_catalogue():
+    from det2stoc_bayes.mismatch.effects import CATALOGUE
+
+    listed = json.loads(run("effects", "--json").stdout)
+    assert [e["name"] for e in listed] == list(CATALOGUE)
+    friction = next(e for e in listed if e["name"] == "coulomb_friction")
+    assert friction["law"] == "-F sign(v)"
+    assert friction["parameters"] == [{"name": "force", "unit": ["N", "N m"]}]
+    shown = run("effects").stdout
+    assert "force [N or N m]" in shown
+
+
+def test_progress_is_one_line_a_stage_where_there_is_no_terminal():
+    stream = StringIO()
+    with progress.Stages(Console(file=stream, force_terminal=False)) as stages:
+        for done in range(3):
+            stages("screening", done, 2)
+            stages.of("refining [1]")(done, 2)
+    assert stream.getvalue() == "screening\nrefining [1]\n"
+
+
+def test_progress_shows_a_bar_on_a_terminal():
+    stream = StringIO()
+    with progress.Stages(Console(file=stream, force_terminal=True, width=100)) as stages:
+        stages("screening", 3, 200)
+    assert "screening" in stream.getvalue()
+    assert "3/200" in stream.getvalue()
+
+
+def test_the_package_offers_its_verbs_lazily():
+    import det2stoc_bayes
+
+    assert det2stoc_bayes.check is check
+    assert issubclass(det2stoc_bayes.StudyError, det2stoc_bayes.Det2StocError)
+    assert set(det2stoc_bayes.__all__) <= set(dir(det2stoc_bayes))
+    assert det2stoc_bayes.__version__
+    with pytest.raises(AttributeError, match="no attribute 'unknown'"):
+        det2stoc_bayes.unknown  # noqa: B018
