@@ -41,9 +41,18 @@ def one(seed: int, control: bool, commit: str) -> CaseScore:
     case = make_case(seed, control=control)
     diagnosis, seconds = diagnosed(case)
     result = score(case.answer, diagnosis)
-    row = {"commit": commit, "seed": seed, "control": control, "seconds": round(seconds, 1), "answer": case.answer,
-           "verdict": diagnosis["verdict"], "effects": diagnosis["effects"], "candidates": diagnosis["candidates"],
-           "fit": diagnosis["fit"], "score": asdict(result)}
+    row = {
+        "commit": commit,
+        "seed": seed,
+        "control": control,
+        "seconds": round(seconds, 1),
+        "answer": case.answer,
+        "verdict": diagnosis["verdict"],
+        "effects": diagnosis["effects"],
+        "candidates": diagnosis["candidates"],
+        "fit": diagnosis["fit"],
+        "score": asdict(result),
+    }
     LOG.parent.mkdir(exist_ok=True)
     with LOG.open("a", encoding="utf-8") as log:
         log.write(json.dumps(row) + "\n")

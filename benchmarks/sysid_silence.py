@@ -91,9 +91,7 @@ def fit_study(folder: Path) -> Fit:
         for group, part in zip((starts, controls, measured), one, strict=True):
             group.append(part)
     logging.getLogger("absl").setLevel(logging.ERROR)  # states without sensors make it warn at each recording
-    sequences = sysid.ModelSequences(
-        "study", spec, names, starts, controls, measured, allow_missing_sensors=True
-    )
+    sequences = sysid.ModelSequences("study", spec, names, starts, controls, measured, allow_missing_sensors=True)
     parameters = sysid.ParameterDict()
     for entry in psi:
         low, high = entry.support()

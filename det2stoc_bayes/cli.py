@@ -4,6 +4,7 @@ Exit codes: 0 done; 1 something unforeseen; 2 an error that the user can act on;
 """
 
 import json
+import logging
 import signal
 import sys
 import warnings
@@ -141,6 +142,7 @@ def _reporting(debug: bool) -> Iterator["det2stoc_bayes.progress.Stages"]:
 
     console = Console(stderr=True)
     interrupted = Event()
+    logging.disable(logging.NOTSET if debug else logging.ERROR)  # what libraries log
     try:
         with _interrupting(interrupted), Stages(console) as stages, _warnings_on(console):
             yield stages
@@ -154,11 +156,13 @@ def _reporting(debug: bool) -> Iterator["det2stoc_bayes.progress.Stages"]:
         reason = " ".join(str(error).split())
         what = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
         raise _exit(console, f"unforeseen error: {what} (--debug shows where)", 1) from error
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 @contextmanager
 def _interrupting(interrupted: Event) -> Iterator[None]:
-    """Remembers a Ctrl-C: libraries turn a KeyboardInterrupt in one of their callbacks into errors of their own."""
+    """Remembers a Ctrl-C: of a KeyboardInterrupt in its callback a library makes an error of its own."""
 
     def note(*_: Any) -> None:
         interrupted.set()

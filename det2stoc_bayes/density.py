@@ -28,9 +28,7 @@ class Density:
 
     problem: Problem
     center: Float[np.ndarray, " size"]  # z of the MAP
-    scale: Float[
-        np.ndarray, "size size"
-    ]  # lower triangular; z = center + scale u makes u about standard normal
+    scale: Float[np.ndarray, "size size"]  # lower triangular; z = center + scale u makes u about standard normal
     start: Start
     latent: LatentStarts
     offset: Float[np.ndarray, "segments states"]  # guessed starts from the MAP's, in tangent coordinates
@@ -69,9 +67,7 @@ class Density:
         offset = np.broadcast_to(self.offset[..., None], (*self.offset.shape, points))
         return self.latent.project(self.latent.stack(columns, offset))
 
-    def log_likelihood_by_segment(
-        self, z: Float[np.ndarray, "points size"]
-    ) -> Float[np.ndarray, "points segments"]:
+    def log_likelihood_by_segment(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points segments"]:
         """One term a segment; -inf where its simulation diverged."""
         z = np.asarray(z, dtype=float)
         out = np.empty((len(z), self.problem.segments.count))
@@ -85,16 +81,12 @@ class Density:
         for begin in range(0, points, size):
             yield slice(begin, min(begin + size, points))
 
-    def terms(
-        self, projected: Float[np.ndarray, "segments stacked points"]
-    ) -> Float[np.ndarray, "points segments"]:
+    def terms(self, projected: Float[np.ndarray, "segments stacked points"]) -> Float[np.ndarray, "points segments"]:
         """log likelihood of each segment; -inf where its simulation diverged."""
         terms = self.normalizer[:, None] - 0.5 * np.einsum("snk,snk->sk", projected, projected)
         return np.where(np.isfinite(terms), terms, -np.inf).T
 
-    def by_recording(
-        self, terms: Float[np.ndarray, "points segments"]
-    ) -> Float[np.ndarray, "points recordings"]:
+    def by_recording(self, terms: Float[np.ndarray, "points segments"]) -> Float[np.ndarray, "points recordings"]:
         """Segments' terms summed over each recording."""
         out = np.zeros((len(terms), len(self.problem.segments.recordings)))
         for s, r in enumerate(self.problem.segments.recording):

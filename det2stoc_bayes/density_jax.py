@@ -1,7 +1,7 @@
 """A density as a jax function: callbacks into the C engine, or forward mode through MJX."""
 
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -42,9 +42,7 @@ class Remembered:
     def values(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points recordings"]:
         """log likelihood by recording; what was not seen is computed without gradients."""
         nothing = np.full(self._density.size, np.nan)
-        found = self._look_up(
-            z, lambda new: (self._density.log_likelihood_by_recording(new), [nothing] * len(new))
-        )
+        found = self._look_up(z, lambda new: (self._density.log_likelihood_by_recording(new), [nothing] * len(new)))
         return np.stack([t for t, _ in found])
 
     def _look_up(self, z: np.ndarray, evaluate: Callable) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -109,7 +107,8 @@ def _value_and_jacobian(function: Callable, z: Array) -> tuple[Array, Array]:
 def mjx_terms(density: Density) -> Terms:
     """log likelihood by recording in pure jax, for forward mode alone."""
     problem, latent = density.problem, density.latent
-    predict = problem.simulator.engine.predict_fn(problem, density.start)
+    engine: Any = problem.simulator.engine
+    predict = engine.predict_fn(problem, density.start)
     observed = jnp.asarray(problem.segments.values)
     rows, count = jnp.asarray(problem.segments.recording), len(problem.segments.recordings)
     normalizer, offset = jnp.asarray(density.normalizer), jnp.asarray(density.offset)[..., None]
@@ -158,7 +157,7 @@ def numpyro_model(density: Density, terms: Terms | None = None) -> Callable[[], 
     terms = jax_terms(density) if terms is None else terms
 
     def model() -> None:
-        z = numpyro.sample("z", dist.Normal(0.0, 1.0).expand([density.size]).to_event(1))
+        z: Any = numpyro.sample("z", dist.Normal(0.0, 1.0).expand([density.size]).to_event(1))
         for name, value in constrained(density.problem, z, jnp).items():
             numpyro.deterministic(name, value)
         numpyro.factor("log_likelihood", terms(z).sum())

@@ -10,6 +10,7 @@ from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem, make_problem
+from det2stoc_bayes.recording import Recording
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
 
@@ -17,6 +18,7 @@ IDENTIFIABLE, WEAK = 0.3, 0.9  # posterior sd over prior sd, both of the standar
 ENTANGLED = 0.95  # correlation beyond which two unknowns are found together only
 
 type Verdict = Literal["identifiable", "weak", "not identifiable"]
+type Role = Literal["recording", "holdout"]
 type Progress = Callable[[str, int, int], None]
 
 
@@ -37,7 +39,7 @@ class CheckedRecording:
     """A recording; `misfit` is the rms of recorded minus simulated in noise sds, None if not simulated."""
 
     name: str
-    role: Literal["recording", "holdout"]
+    role: Role
     samples: int
     seconds: float
     columns: tuple[str, ...]
@@ -79,9 +81,7 @@ def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
         )
     progress("fitting psi quickly", 1, 1)
     columns = problem.segments.columns
-    noise = tuple(
-        CheckedColumn(c, float(sd), c in study.noise) for c, sd in zip(columns, problem.noise, strict=True)
-    )
+    noise = tuple(CheckedColumn(c, float(sd), c in study.noise) for c, sd in zip(columns, problem.noise, strict=True))
     return Check(study, _parameters(fit), _recordings(study, misfit), noise, float(fit.noise_inflation))
 
 
@@ -98,14 +98,11 @@ def _misfit(problem: Problem) -> dict[str, float]:
 
 
 def _recordings(study: Study, misfit: dict[str, float]) -> tuple[CheckedRecording, ...]:
-    return tuple(
-        CheckedRecording(
-            r.name, role, len(r.time), float(r.time[-1] - r.time[0]), r.columns,
-            misfit.get(r.name) if role == "recording" else None,
-        )
-        for role, group in (("recording", study.recordings), ("holdout", study.holdout))
-        for r in group
-    )  # fmt: skip
+    def row(r: Recording, role: Role) -> CheckedRecording:
+        seconds = float(r.time[-1] - r.time[0])
+        return CheckedRecording(r.name, role, len(r.time), seconds, r.columns, misfit.get(r.name))
+
+    return (*(row(r, "recording") for r in study.recordings), *(row(r, "holdout") for r in study.holdout))
 
 
 def _parameters(fit: Fit) -> tuple[CheckedParameter, ...]:
@@ -116,13 +113,9 @@ def _parameters(fit: Fit) -> tuple[CheckedParameter, ...]:
     out = []
     for j, p in enumerate(problem.simulator.parameters):
         ratio = float(sd[j])  # of a standard normal, whose prior sd is 1
-        verdict: Verdict = (
-            "identifiable" if ratio < IDENTIFIABLE else "weak" if ratio < WEAK else "not identifiable"
-        )
+        verdict: Verdict = "identifiable" if ratio < IDENTIFIABLE else "weak" if ratio < WEAK else "not identifiable"
         others = tuple(
-            q.name
-            for k, q in enumerate(problem.simulator.parameters)
-            if k != j and abs(correlation[j, k]) > ENTANGLED
+            q.name for k, q in enumerate(problem.simulator.parameters) if k != j and abs(correlation[j, k]) > ENTANGLED
         )
         spread = float(abs(above[j] - below[j]) / 2)
         out.append(CheckedParameter(p.name, float(middle[j]), spread, ratio, verdict, others))

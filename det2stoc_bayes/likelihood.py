@@ -34,12 +34,16 @@ class LatentStarts:
         """-1/2 log det(2 pi (R + A P A')), summed over segments."""
         recorded = self.weight > 0
         diagonal = np.abs(np.diagonal(self.triangle, axis1=1, axis2=2))
-        log_det = -2 * np.log(self.weight[recorded]).sum() + 2 * np.log(self.prior_sd).sum() + 2 * np.log(diagonal).sum()
+        log_det = (
+            -2 * np.log(self.weight[recorded]).sum() + 2 * np.log(self.prior_sd).sum() + 2 * np.log(diagonal).sum()
+        )
         return -0.5 * (float(log_det) + self.num_observed * np.log(2 * np.pi))
 
     def stack(self, columns: Array, offset: Array | None = None, xp: Any = np) -> Array:
         """Whitened columns (segments, values, k) with the start prior's rows below them."""
-        below = xp.zeros((*self.prior_sd.shape, columns.shape[-1])) if offset is None else offset / self.prior_sd[..., None]
+        below = (
+            xp.zeros((*self.prior_sd.shape, columns.shape[-1])) if offset is None else offset / self.prior_sd[..., None]
+        )
         return xp.concatenate([columns * self.weight[..., None], below], 1)
 
     def project(self, stacked: Array, xp: Any = np) -> Array:

@@ -28,11 +28,12 @@ def find_map(problem: Problem, *, max_iterations: int = 20) -> Fit:
         short = problem.on(cut(segments.recordings, horizon, segments.columns))
         fit = fit_many([(short, start_point(short, z))], max_iterations=max_iterations)[0]
         z = z if fit is None else fit.point.z
+    point = start_point(problem, z)
     for free_scale in (True, False):
-        point = start_point(problem, z) if free_scale else fit.point
         fit = fit_many([(problem, point)], max_iterations=max_iterations, free_scale=free_scale)[0]
         if fit is None:
             raise SimulationDiverged("no simulation of the believed model stays finite over the recordings")
+        point = fit.point
     return fit
 
 
@@ -80,9 +81,7 @@ class Expansion:
         return terms, np.linalg.solve(self.scale.T, -slope.T).T
 
 
-def expand(
-    density: Density, center: Float[np.ndarray, " size"], scale: Float[np.ndarray, "size size"]
-) -> Expansion:
+def expand(density: Density, center: Float[np.ndarray, " size"], scale: Float[np.ndarray, "size size"]) -> Expansion:
     """By central differences in batches; curvature is left out (0) where it would not fit in memory."""
     size, axes = density.size, np.eye(density.size)
     bends = density.latent.basis[..., 0].size * size**2 <= MAX_CURVATURE

@@ -40,8 +40,13 @@ class Linearization:
         """Recorded values less those that the initial states use up."""
         return max(self.latent.num_observed - self.problem.segments.count * self.latent.prior_sd.shape[1], 1)
 
-    def gram(self) -> tuple[Float[np.ndarray, "segments size size"], Float[np.ndarray, "segments size"],
-                            Float[np.ndarray, " segments"]]:
+    def gram(
+        self,
+    ) -> tuple[
+        Float[np.ndarray, "segments size size"],
+        Float[np.ndarray, "segments size"],
+        Float[np.ndarray, " segments"],
+    ]:
         """Per segment J'J, J'r and r'r after the initial states are integrated out."""
         j, r = self.latent.project(self.columns), self.latent.project(self.stacked)[..., 0]
         return np.swapaxes(j, 1, 2) @ j, np.einsum("snk,sn->sk", j, r), (r**2).sum(1)
@@ -130,17 +135,22 @@ def _tangent(problem: Problem, start: Start) -> Float[np.ndarray, "segments stat
     return out
 
 
-def fit_many(points: Sequence[tuple[Problem, Point]], *, max_iterations: int = 8, tolerance: float = 0.05,
-             free_scale: bool = True) -> list[Fit | None]:
+def fit_many(
+    points: Sequence[tuple[Problem, Point]],
+    *,
+    max_iterations: int = 8,
+    tolerance: float = 0.05,
+    free_scale: bool = True,
+) -> list[Fit | None]:
     """Most probable unknowns of every hypothesis; None where its simulations diverge from the start.
 
     `tolerance` is the expected gain in nats at which an iteration is the last. With `free_scale` a misfit beyond the
     noise widens the noise (s2 >= 1), so that the prior is not swamped by model error.
     """
-    linear = linearize(points)
-    done = [lin is None for lin in linear]
+    linear = {i: lin for i, lin in enumerate(linearize(points)) if lin is not None}
+    done = dict.fromkeys(linear, False)
     for _ in range(max_iterations):
-        todo = [i for i, over in enumerate(done) if not over]
+        todo = [i for i, over in done.items() if not over]
         if not todo:
             break
         steps = {i: _newton_step(linear[i], free_scale) for i in todo}
@@ -150,7 +160,7 @@ def fit_many(points: Sequence[tuple[Problem, Point]], *, max_iterations: int = 8
         for i, lin in _improved(linear, steps, trials, tolerance).items():
             done[i] = lin is None or steps[i].gain < tolerance
             linear[i] = linear[i] if lin is None else lin
-    return [None if lin is None else summarize(lin, free_scale, ok) for lin, ok in zip(linear, done, strict=True)]
+    return [summarize(linear[i], free_scale, done[i]) if i in linear else None for i in range(len(points))]
 
 
 @dataclass(frozen=True)

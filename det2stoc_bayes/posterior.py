@@ -93,13 +93,9 @@ def build(
     groups = {
         "posterior": xr.Dataset(draws),
         "unconstrained_posterior": xr.Dataset({"z": ((*lead, "unknown"), z)}, {"unknown": list(draws)}),
-        "sample_stats": xr.Dataset(
-            {k: v if isinstance(v, tuple) else (lead, np.asarray(v)) for k, v in stats.items()}
-        ),
+        "sample_stats": xr.Dataset({k: v if isinstance(v, tuple) else (lead, np.asarray(v)) for k, v in stats.items()}),
         "observed_data": observed_data(problem),
-        "log_likelihood": xr.Dataset(
-            {"values": ((*lead, "recording"), log_likelihood)}, {"recording": recording}
-        ),
+        "log_likelihood": xr.Dataset({"values": ((*lead, "recording"), log_likelihood)}, {"recording": recording}),
     }
     for name in ("posterior", "unconstrained_posterior", "sample_stats", "log_likelihood"):
         groups[name] = groups[name].assign_coords(chain=np.arange(z.shape[0]), draw=np.arange(z.shape[1]))
@@ -127,9 +123,7 @@ def observed_data(problem: Problem) -> xr.Dataset:
     """Recorded values and times by recording, padded with NaN."""
     segments = problem.segments
     count = len(segments.recordings)
-    lengths = [
-        sum(_length(segments.time[s]) for s in np.flatnonzero(segments.recording == r)) for r in range(count)
-    ]
+    lengths = [sum(_length(segments.time[s]) for s in np.flatnonzero(segments.recording == r)) for r in range(count)]
     time = np.full((count, max(lengths)), np.nan)
     values = np.full((*time.shape, len(segments.columns)), np.nan)
     filled = [0] * count
@@ -177,9 +171,7 @@ def load(path: str | os.PathLike[str]) -> xr.DataTree:
             tree = tree.load()
     except Exception as error:  # h5py, h5netcdf and xarray raise whatever they meet in a damaged file
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise Det2StocError(
-            f"{path}: cannot be read ({reason}); allowed: a fit written by det2stoc (.nc)"
-        ) from error
+        raise Det2StocError(f"{path}: cannot be read ({reason}); allowed: a fit written by det2stoc (.nc)") from error
     missing = [g for g in GROUPS if g not in tree.children] + [a for a in ATTRIBUTES if a not in tree.attrs]
     if missing:
         raise Det2StocError(f"{path}: lacks {', '.join(missing)}; allowed: a fit written by det2stoc (.nc)")

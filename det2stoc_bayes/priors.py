@@ -61,9 +61,7 @@ FAMILIES: dict[str, Family] = {
         lambda a: {"a": a["low"], "b": a["high"]},
         ("low", "high"),
     ),
-    "Exponential": Family(
-        {"rate": 1.0}, quantiles.exponential, "expon", lambda a: {"scale": 1 / a["rate"]}, ("rate",)
-    ),
+    "Exponential": Family({"rate": 1.0}, quantiles.exponential, "expon", lambda a: {"scale": 1 / a["rate"]}, ("rate",)),
     "Laplace": Family(_CENTRED, quantiles.laplace, "laplace", _loc_scale),
     "Cauchy": Family(_CENTRED, quantiles.cauchy, "cauchy", _loc_scale),
     "HalfCauchy": Family(_UNIT, quantiles.half_cauchy, "halfcauchy", _loc_scale),
@@ -111,17 +109,13 @@ class Prior:
     def parse(cls, spec: Mapping[str, Any], where: str) -> "Prior":
         """From `{"Normal": {"loc": 1, "scale": 2}}`; `where` opens the message of a StudyError."""
         if len(spec) != 1:
-            raise StudyError(
-                f"{where}: found {len(spec)} families; allowed: one, as {{ Normal = {{ loc = 1 }} }}"
-            )
+            raise StudyError(f"{where}: found {len(spec)} families; allowed: one, as {{ Normal = {{ loc = 1 }} }}")
         ((family, given),) = spec.items()
         if family not in FAMILIES:
             raise StudyError(f"{where}: unknown prior '{family}'; {choices(family, FAMILIES, limit=20)}")
         where = f"{where}.{family}"
         if not isinstance(given, Mapping):
-            raise StudyError(
-                f"{where}: found {given!r}; allowed: a table of {', '.join(FAMILIES[family].defaults)}"
-            )
+            raise StudyError(f"{where}: found {given!r}; allowed: a table of {', '.join(FAMILIES[family].defaults)}")
         return cls(family, _arguments(family, given, where))
 
     @property
@@ -194,9 +188,7 @@ def _arguments(family: str, given: Mapping[str, Any], where: str) -> dict[str, f
     merged = {name: given.get(name, default) for name, default in entry.defaults.items()}
     for name, value in merged.items():
         if value is not OPTIONAL and math.isnan(value):
-            raise StudyError(
-                f"{where}.{name}: missing; allowed: a finite number ({where} takes {', '.join(merged)})"
-            )
+            raise StudyError(f"{where}.{name}: missing; allowed: a finite number ({where} takes {', '.join(merged)})")
     arguments = {name: float(value) for name, value in merged.items() if value is not OPTIONAL}
     low, high = arguments.get("low", -math.inf), arguments.get("high", math.inf)
     if low >= high:

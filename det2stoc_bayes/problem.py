@@ -7,19 +7,22 @@ functions, so that the prior is N(0, I) whatever the study's priors are.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
+from det2stoc_bayes.engines.layout import integrate_positions, quaternion_groups
 from det2stoc_bayes.errors import MethodNotApplicable
-from det2stoc_bayes.layout import integrate_positions, quaternion_groups
 from det2stoc_bayes.likelihood import residuals
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 from det2stoc_bayes.noise import noise_sd
 from det2stoc_bayes.segments import Segments, cut
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.starts import StartGuess, guess_starts
+
+Array = Any  # numpy or jax array
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +71,13 @@ class Problem:
         """The same hypothesis on other samples."""
         return replace(self, segments=segments, guess=guess_starts(self.simulator.model, segments))
 
-    def psi(self, z: Float[np.ndarray, "points size"], xp=np) -> Float[np.ndarray, "points psi"]:
-        """Simulator parameters in their own units."""
+    def psi(self, z: Array, xp: Any = np) -> Array:
+        """Simulator parameters (..., psi) in their own units from unknowns (..., size) of either library."""
         columns = [p.prior.from_normal(z[..., j], xp) for j, p in enumerate(self.simulator.parameters)]
         return xp.stack(columns, -1) if columns else xp.zeros((*z.shape[:-1], 0))
 
-    def effect_values(self, z: Float[np.ndarray, "points size"], xp=np) -> list[dict[str, np.ndarray]]:
-        """Parameters of each effect in their own units."""
+    def effect_values(self, z: Array, xp: Any = np) -> list[dict[str, Array]]:
+        """Parameters (...) of each effect in their own units from unknowns (..., size) of either library."""
         out, begin = [], self.num_psi
         for effect in self.effects:
             out.append(effect.from_normal([z[..., begin + i] for i in range(effect.size)], xp))
@@ -94,16 +97,28 @@ class Problem:
         names = [self.segments.recordings[self.segments.recording[w]].name for w in which]
         z = np.repeat(z, self.segments.count, axis=0)
         everywhere = slice(0, len(which))
-        effects = tuple(EffectRows(placed, everywhere, values)
-                        for placed, values in zip(self.effects, self.effect_values(z), strict=True))
-        return Request(self.segments, which, start, self.simulator.fields(self.psi(z), names), effects,
-                       self.timestep, self.integrator)
+        effects = tuple(
+            EffectRows(placed, everywhere, values)
+            for placed, values in zip(self.effects, self.effect_values(z), strict=True)
+        )
+        return Request(
+            self.segments,
+            which,
+            start,
+            self.simulator.fields(self.psi(z), names),
+            effects,
+            self.timestep,
+            self.integrator,
+        )
 
     def moved(self, start: Start, change: Float[np.ndarray, "rows states"]) -> Start:
         """Starts moved along tangent vectors (positions, velocities)."""
         model = self.simulator.model
-        return Start(integrate_positions(model, start.qpos, change[:, : model.nv]),
-                     start.qvel + change[:, model.nv :], start.act)
+        return Start(
+            integrate_positions(model, start.qpos, change[:, : model.nv]),
+            start.qvel + change[:, model.nv :],
+            start.act,
+        )
 
     def residuals(self, predicted: Float[np.ndarray, "rows samples columns"]) -> Float[np.ndarray, "rows values"]:
         """Recorded minus predicted, for variant-major rows."""
@@ -120,7 +135,8 @@ def make_problem(simulator: Simulator, *, num_samples: int | None = None, noise=
         if p.varies != "never":
             raise MethodNotApplicable(
                 f'{simulator.study.name}: psi.{p.name}.varies is "{p.varies}", for which there is no likelihood; '
-                'allowed: "never"')
+                'allowed: "never"'
+            )
     segments = cut(simulator.study.recordings, num_samples)
     sd = noise_sd(segments, simulator.study.noise) if noise is None else noise
     return Problem(simulator, segments, sd, guess_starts(simulator.model, segments))
@@ -135,8 +151,9 @@ def merge_requests(requests: Sequence[Request]) -> Request:
     """One request out of several on the same segments and options, rows in order."""
     effects, begin = [], 0
     for r in requests:
-        effects += [EffectRows(e.placed, slice(e.rows.start + begin, e.rows.stop + begin), e.parameters)
-                    for e in r.effects]
+        effects += [
+            EffectRows(e.placed, slice(e.rows.start + begin, e.rows.stop + begin), e.parameters) for e in r.effects
+        ]
         begin += len(r.which)
     first = requests[0]
     start = Start(*(np.concatenate([getattr(r.start, a) for r in requests]) for a in ("qpos", "qvel", "act")))

@@ -159,9 +159,7 @@ def student_t(a: Arguments, z: Array, lib: Library) -> Array:
 
 # Tables, for the families without a quantile function in jax.
 
-KNOTS_PER_UNIT = (
-    128  # cubic pieces with exact slopes: the error is about (1/128)^4 / 384 of the fourth derivative
-)
+KNOTS_PER_UNIT = 128  # cubic pieces with exact slopes: the error is about (1/128)^4 / 384 of the fourth derivative
 REACH = 30.0
 
 
@@ -184,9 +182,7 @@ def interpolate(table: Table, z: Array, xp: ModuleType) -> Array:
     piece = xp.clip(xp.floor((inside - table.start) / table.step).astype(int), 0, pieces - 1)
     c3, c2, c1, c0 = xp.asarray(table.coefficients)[:, piece]
     t = inside - (table.start + table.step * piece)
-    beyond = table.first_slope * xp.minimum(z - table.start, 0.0) + table.last_slope * xp.maximum(
-        z - end, 0.0
-    )
+    beyond = table.first_slope * xp.minimum(z - table.start, 0.0) + table.last_slope * xp.maximum(z - end, 0.0)
     return ((c3 * t + c2) * t + c1) * t + c0 + beyond
 
 

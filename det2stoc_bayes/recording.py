@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from det2stoc_bayes.engines.model_names import ModelNames
 from det2stoc_bayes.errors import StudyError, listing
-from det2stoc_bayes.model_names import ModelNames
 from det2stoc_bayes.recording_files import Table, read_csv, read_parquet
 from det2stoc_bayes.suggestions import choices
 
@@ -55,9 +55,7 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
     time = _checked_time(table)
     for column in table.header:
         if np.isnan(table.column(column)).all():
-            raise table.fail(
-                f"column {column}: found no value at all; allowed: numbers (leave the column out)"
-            )
+            raise table.fail(f"column {column}: found no value at all; allowed: numbers (leave the column out)")
     columns = tuple(c for c in table.header if c in names.columns)
     values = np.stack([table.column(c) for c in columns], axis=1)
     _normalise_quaternions(table, columns, values, names)
@@ -72,25 +70,17 @@ def _check_header(names: ModelNames, label: str, header: tuple[str, ...]) -> Non
     known = [*names.columns, *(f"ctrl/{name}" for name in names.actuators if name)]
     if "time" not in header:
         hint = " (cells are separated by commas)" if len(header) == 1 else ""
-        raise StudyError(
-            f"{label}: no column 'time'; found {listing(header)}{hint}; allowed: time, {listing(known)}"
-        )
+        raise StudyError(f"{label}: no column 'time'; found {listing(header)}{hint}; allowed: time, {listing(known)}")
     for column in header:
         if column not in known and column != "time":
-            raise StudyError(
-                f"{label}: unknown column '{column}'; {choices(column, ['time', *known], limit=20)}"
-            )
+            raise StudyError(f"{label}: unknown column '{column}'; {choices(column, ['time', *known], limit=20)}")
     if not set(header) & set(names.columns):
-        raise StudyError(
-            f"{label}: no measured column; found {listing(header)}; allowed: {listing(names.columns, 20)}"
-        )
+        raise StudyError(f"{label}: no measured column; found {listing(header)}; allowed: {listing(names.columns, 20)}")
     for prefix in names.quaternions:
         parts = [f"{prefix}/{part}" for part in ("qw", "qx", "qy", "qz")]
         missing = [part for part in parts if part not in header]
         if 0 < len(missing) < 4:
-            raise StudyError(
-                f"{label}: incomplete quaternion, without {listing(missing)}; allowed: {listing(parts)}"
-            )
+            raise StudyError(f"{label}: incomplete quaternion, without {listing(missing)}; allowed: {listing(parts)}")
 
 
 def _checked_time(table: Table) -> Float[np.ndarray, " samples"]:
@@ -101,9 +91,7 @@ def _checked_time(table: Table) -> Float[np.ndarray, " samples"]:
     back = np.flatnonzero(np.diff(time) <= 0)
     if len(back):
         before, after = float(time[back[0]]), float(time[back[0] + 1])
-        raise table.fail(
-            f"column time: found {after!r} after {before!r}; allowed: only increasing", int(back[0]) + 1
-        )
+        raise table.fail(f"column time: found {after!r} after {before!r}; allowed: only increasing", int(back[0]) + 1)
     return time
 
 
@@ -156,11 +144,7 @@ def _warn(
 ) -> None:
     """Tell what is allowed but suspicious."""
     present = (~np.isnan(values)).sum(axis=0)
-    same = [
-        c
-        for c, v, n in zip(columns, values.T, present, strict=True)
-        if n > 1 and np.nanmin(v) == np.nanmax(v)
-    ]
+    same = [c for c, v, n in zip(columns, values.T, present, strict=True) if n > 1 and np.nanmin(v) == np.nanmax(v)]
     if same:
         _tell(f"{label}: constant over the whole recording: {listing(same)}")
     degrees = list(_in_degrees(time, columns, values, names))
@@ -187,8 +171,5 @@ def _in_degrees(
             recorded = np.nanmedian(np.abs(values[:, columns.index(speed)]))
             moved = np.abs(np.diff(position) / np.diff(time))
             moved = moved[np.isfinite(moved)]
-            if (
-                len(moved)
-                and abs(math.log(max(np.median(moved), 1e-300) / max(recorded, 1e-300) / DEGREES)) < 0.4
-            ):
+            if len(moved) and abs(math.log(max(np.median(moved), 1e-300) / max(recorded, 1e-300) / DEGREES)) < 0.4:
                 yield column

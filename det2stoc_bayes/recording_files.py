@@ -62,9 +62,7 @@ def _numbers(row: list[str], header: tuple[str, ...], where: str) -> list[float]
         except ValueError:
             number = math.nan if not cell.strip() else math.inf
         if not math.isfinite(number) and cell.strip():
-            raise StudyError(
-                f"{where}: column {column}: found '{cell[:40]}'; allowed: a finite number, or nothing"
-            )
+            raise StudyError(f"{where}: column {column}: found '{cell[:40]}'; allowed: a finite number, or nothing")
         numbers.append(number)
     return numbers
 
@@ -103,6 +101,4 @@ def _check_unique(label: str, header: tuple[str, ...]) -> None:
         raise StudyError(f"{label}: found an empty file; allowed: a header, then samples")
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
-        raise StudyError(
-            f"{label}: found column '{twice[0]}' {header.count(twice[0])} times; allowed: each name once"
-        )
+        raise StudyError(f"{label}: found column '{twice[0]}' {header.count(twice[0])} times; allowed: each name once")

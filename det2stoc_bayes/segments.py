@@ -33,6 +33,11 @@ class Segments:
         """Where a value was recorded."""
         return np.isfinite(self.values)
 
+    @cached_property
+    def lengths(self) -> Int[np.ndarray, " segments"]:
+        """Samples of each segment, padding not counted."""
+        return (np.diff(self.time, axis=1) > 0).sum(1) + 1
+
     def steps(self, timestep: float) -> Int[np.ndarray, " segments"]:
         """Simulation steps that reach each segment's last sample."""
         return np.maximum(np.ceil((self.time[:, -1] - self.time[:, 0]) / timestep - TIME_SLACK).astype(int), 1)

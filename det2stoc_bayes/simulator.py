@@ -7,12 +7,12 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes import layout
+from det2stoc_bayes.engines import layout
 from det2stoc_bayes.engines.base import Counter, Engine, Request
+from det2stoc_bayes.engines.model_names import compile_model, field_of, rows_of
 from det2stoc_bayes.engines.mujoco_c import MujocoC
 from det2stoc_bayes.errors import EngineError
 from det2stoc_bayes.mismatch.effects.base import Element
-from det2stoc_bayes.model_names import compile_model, field_of, rows_of
 from det2stoc_bayes.study import Study, Target
 
 
@@ -58,7 +58,9 @@ class Simulator:
             rows = np.flatnonzero(stems == stem)
             for target, value in table.items():
                 where = self._known[target]
-                flat = np.broadcast_to(np.ravel(value), (len(where.places),)) if np.size(value) == 1 else np.ravel(value)
+                flat = (
+                    np.broadcast_to(np.ravel(value), (len(where.places),)) if np.size(value) == 1 else np.ravel(value)
+                )
                 for place, component in zip(where.places, flat, strict=True):
                     out[where.field][(rows, *place)] = component
         for j, where in enumerate(self.addresses):

@@ -1,14 +1,17 @@
 """First guesses of the states from which segments start, and how far they may be off."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import Start
-from det2stoc_bayes.layout import column_address
+from det2stoc_bayes.engines.layout import column_address
 from det2stoc_bayes.segments import Segments
+
+if TYPE_CHECKING:
+    import mujoco
 
 NUM_NEAR = 9  # samples of the local fit
 
@@ -22,7 +25,7 @@ class StartGuess:
     scale: Float[np.ndarray, " states"]  # typical magnitude of each coordinate's variation
 
 
-def guess_starts(model: mujoco.MjModel, segments: Segments) -> StartGuess:
+def guess_starts(model: "mujoco.MjModel", segments: Segments) -> StartGuess:
     """Recorded values where there are any, slopes of a local quadratic for velocities that were not recorded.
 
     The prior is three times as wide as the coordinate's own variation, so that the samples decide.
@@ -50,8 +53,9 @@ def _joint_scales(model, joint, segments, slopes, qvel, scale) -> None:
     """Spread of each coordinate; slopes stand in for unrecorded velocities of slide and hinge joints."""
     kind, q, v = int(model.jnt_type[joint]), int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     width = {0: 6, 1: 3}.get(kind, 1)
-    recorded = {(a.source, a.index): j for j, a in
-                ((j, column_address(model, c)) for j, c in enumerate(segments.columns))}
+    recorded = {
+        (a.source, a.index): j for j, a in ((j, column_address(model, c)) for j, c in enumerate(segments.columns))
+    }
     for k in range(width):
         straight = kind in (2, 3) or (kind == 0 and k < 3)
         position = recorded.get(("qpos", q + k)) if straight else None
@@ -85,7 +89,7 @@ def _local_fit(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
     return level, slope
 
 
-def _normalise_quaternions(model: mujoco.MjModel, qpos: np.ndarray) -> None:
+def _normalise_quaternions(model: "mujoco.MjModel", qpos: np.ndarray) -> None:
     for joint in range(model.njnt):
         shift = {0: 3, 1: 0}.get(int(model.jnt_type[joint]))
         if shift is not None:

@@ -11,8 +11,15 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.engines.model_names import (
+    KINDS,
+    ModelNames,
+    believed_value,
+    compile_model,
+    model_names,
+    rows_of,
+)
 from det2stoc_bayes.errors import StudyError, listing
-from det2stoc_bayes.model_names import KINDS, ModelNames, believed_value, compile_model, model_names, rows_of
 from det2stoc_bayes.priors import Prior
 from det2stoc_bayes.recording import Recording, StudyWarning, read_recording
 from det2stoc_bayes.study_file import FILES, PsiTable, check_stems, find_files, inside, read_toml
@@ -39,9 +46,7 @@ class Target:
         kind, _, rest = text.partition("/")
         name, _, field = rest.rpartition("/")
         if kind not in KINDS or not field or bool(name) == (kind == "opt"):
-            raise StudyError(
-                f"found '{text}'; allowed: kind/name/field with kind {listing(KINDS[:-1])}, or opt/field"
-            )
+            raise StudyError(f"found '{text}'; allowed: kind/name/field with kind {listing(KINDS[:-1])}, or opt/field")
         return cls(kind, name, field)
 
 
@@ -88,27 +93,18 @@ def load_study(folder: Path) -> Study:
     files = find_files(folder, content.recordings, f"{source}: recordings")
     held_out = find_files(folder, content.holdout, f"{source}: holdout")
     if not files:
-        raise StudyError(
-            f"{source}: recordings: no file matches '{content.recordings}'; allowed: one or more"
-        )
+        raise StudyError(f"{source}: recordings: no file matches '{content.recordings}'; allowed: one or more")
     if not held_out and "holdout" in content.model_fields_set:
         warnings.warn(f"{source}: holdout: no file matches '{content.holdout}'", StudyWarning, stacklevel=2)
     check_stems(files, held_out, content.known, source)
     recordings = tuple(read_recording(path, names) for path in files)
     holdout = tuple(read_recording(path, names) for path in held_out)
     noise = _noise(content.noise, [c for r in (*recordings, *holdout) for c in r.columns], names, source)
-    known = {
-        stem: _known(values, model, names, f"{source}: known.{stem}")
-        for stem, values in content.known.items()
-    }
-    return Study(
-        folder, folder.resolve().name, model_path, parameters, noise, known, recordings, holdout, names
-    )
+    known = {stem: _known(values, model, names, f"{source}: known.{stem}") for stem, values in content.known.items()}
+    return Study(folder, folder.resolve().name, model_path, parameters, noise, known, recordings, holdout, names)
 
 
-def _resolved(
-    text: str, model: "mujoco.MjModel", names: ModelNames, where: str
-) -> tuple[Target, tuple[int, ...]]:
+def _resolved(text: str, model: "mujoco.MjModel", names: ModelNames, where: str) -> tuple[Target, tuple[int, ...]]:
     """A target that the model has, and the shape of its field."""
     try:
         target = Target.parse(text)
@@ -116,16 +112,12 @@ def _resolved(
         raise StudyError(f"{where}: {error}") from error
     kind, name, field = target.kind, target.name, target.field
     if field not in names.fields[kind]:
-        raise StudyError(
-            f"{where}: '{text}': {kind} has no field '{field}'; {choices(field, names.fields[kind], 30)}"
-        )
+        raise StudyError(f"{where}: '{text}': {kind} has no field '{field}'; {choices(field, names.fields[kind], 30)}")
     if kind != "opt" and name != "*" and name not in names.elements[kind]:
         allowed = choices(name, [*names.elements[kind], "*"])
         raise StudyError(f"{where}: '{text}': the model has no {kind} named '{name}'; {allowed}")
     if not len(rows_of(model, kind, name, field)):
-        raise StudyError(
-            f"{where}: '{text}': the model has no such {kind}; allowed: an element that has a {field}"
-        )
+        raise StudyError(f"{where}: '{text}': the model has no such {kind}; allowed: an element that has a {field}")
     return target, names.fields[kind][field]
 
 
@@ -133,9 +125,7 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _RESERVED = ("chain", "draw", "recording", "time")  # dimensions of the results
 
 
-def _parameter(
-    name: str, table: PsiTable, model: "mujoco.MjModel", names: ModelNames, where: str
-) -> Parameter:
+def _parameter(name: str, table: PsiTable, model: "mujoco.MjModel", names: ModelNames, where: str) -> Parameter:
     if not _NAME.fullmatch(name) or name in _RESERVED:
         raise StudyError(
             f"{where}: found the name '{name}'; allowed: letters, digits, _, - and not {listing(_RESERVED)}"
@@ -153,16 +143,12 @@ def _parameter(
     chosen = believed if parameter.index is None else believed[:, list(parameter.index)]
     outside = chosen[(chosen < low) | (chosen > high)]
     if len(outside):
-        message = (
-            f"{where}: the model's {target} = {outside[0]:g} lies outside of the prior's {low:g} to {high:g}"
-        )
+        message = f"{where}: the model's {target} = {outside[0]:g} lies outside of the prior's {low:g} to {high:g}"
         warnings.warn(message, StudyWarning, stacklevel=4)
     return parameter
 
 
-def _index(
-    given: list[int] | None, shape: tuple[int, ...], where: str, target: Target
-) -> tuple[int, ...] | None:
+def _index(given: list[int] | None, shape: tuple[int, ...], where: str, target: Target) -> tuple[int, ...] | None:
     """The components that the parameter sets, all to its one value."""
     if not shape:
         if given is not None:
@@ -170,9 +156,7 @@ def _index(
         return None
     size = shape[0]
     if given is None:
-        raise StudyError(
-            f"{where}.index: missing: {target} has {size} components; allowed: a list of 0 to {size - 1}"
-        )
+        raise StudyError(f"{where}.index: missing: {target} has {size} components; allowed: a list of 0 to {size - 1}")
     if not given or len(set(given)) < len(given) or not all(0 <= i < size for i in given):
         raise StudyError(f"{where}.index: found {given}; allowed: different components from 0 to {size - 1}")
     return tuple(given)
@@ -193,26 +177,18 @@ def _check_together(parameters: Sequence[Parameter], model: "mujoco.MjModel", so
     for p in parameters:
         derived = {f"{p.name}_mu", f"{p.name}_sigma"} & names if p.varies == "trajectory" else set()
         if derived:
-            raise StudyError(
-                f"{source}: psi.{min(derived)}: psi.{p.name} varies and uses that name; allowed: another"
-            )
+            raise StudyError(f"{source}: psi.{min(derived)}: psi.{p.name} varies and uses that name; allowed: another")
 
 
-def _noise(
-    patterns: Mapping[str, float], measured: Sequence[str], names: ModelNames, source: str
-) -> dict[str, float]:
+def _noise(patterns: Mapping[str, float], measured: Sequence[str], names: ModelNames, source: str) -> dict[str, float]:
     """Measured column -> sd. The own name counts most, then the longest pattern, then the later one."""
     columns = list(dict.fromkeys(measured))
     for pattern in patterns:
         if any(column == pattern or fnmatchcase(column, pattern) for column in columns):
             continue
         if not any(fnmatchcase(column, pattern) for column in names.columns):
-            raise StudyError(
-                f"{source}: noise.'{pattern}': no column matches; {choices(pattern, columns, limit=20)}"
-            )
-        warnings.warn(
-            f"{source}: noise.'{pattern}': no recording has such a column", StudyWarning, stacklevel=3
-        )
+            raise StudyError(f"{source}: noise.'{pattern}': no column matches; {choices(pattern, columns, limit=20)}")
+        warnings.warn(f"{source}: noise.'{pattern}': no recording has such a column", StudyWarning, stacklevel=3)
     resolved = {}
     for column in columns:
         matching = [

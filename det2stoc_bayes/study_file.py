@@ -44,9 +44,7 @@ def read_toml(folder: Path) -> tuple[str, StudyFile]:
     there = [name for name in FILES if (folder / name).is_file()]
     if not there:
         found = listing(sorted(p.name for p in folder.iterdir()))
-        raise StudyError(
-            f"{folder.name}: found neither {' nor '.join(FILES)} but {found}; allowed: one of the two"
-        )
+        raise StudyError(f"{folder.name}: found neither {' nor '.join(FILES)} but {found}; allowed: one of the two")
     source = there[0]
     if len(there) > 1:
         warnings.warn(f"{there[1]} is not read, since there is a {source}", StudyWarning, stacklevel=3)
@@ -87,9 +85,7 @@ def inside(folder: Path, name: str, where: str) -> Path:
 def find_files(folder: Path, pattern: str, where: str) -> list[Path]:
     """The files that match, in order of their names."""
     if not pattern or Path(pattern).is_absolute() or ".." in Path(pattern).parts:
-        raise StudyError(
-            f"{where}: found '{pattern}'; allowed: files within the study's folder, as data/*.csv"
-        )
+        raise StudyError(f"{where}: found '{pattern}'; allowed: files within the study's folder, as data/*.csv")
     try:
         found = sorted(path for path in folder.glob(pattern) if path.is_file())
     except ValueError as error:
@@ -97,29 +93,21 @@ def find_files(folder: Path, pattern: str, where: str) -> list[Path]:
     return [inside(folder, str(path.relative_to(folder)), where) for path in found]
 
 
-def check_stems(
-    files: Sequence[Path], held_out: Sequence[Path], known: Mapping[str, Any], source: str
-) -> None:
+def check_stems(files: Sequence[Path], held_out: Sequence[Path], known: Mapping[str, Any], source: str) -> None:
     """A stem names one recording; fitted and held-out ones may share one unless [known] means either."""
     both = set(files) & set(held_out)
     if both:
         path = f"{min(both).parent.name}/{min(both).name}"
-        raise StudyError(
-            f"{source}: holdout: {path} is among the recordings too; allowed: files that are never fitted"
-        )
+        raise StudyError(f"{source}: holdout: {path} is among the recordings too; allowed: files that are never fitted")
     for paths in (files, held_out):
         stems = [path.stem for path in paths]
         for path in paths:
             if stems.count(path.stem) > 1:
                 same = listing(f"{p.parent.name}/{p.name}" for p in paths if p.stem == path.stem)
-                raise StudyError(
-                    f"{source}: recordings: found '{path.stem}' twice: {same}; allowed: each name once"
-                )
+                raise StudyError(f"{source}: recordings: found '{path.stem}' twice: {same}; allowed: each name once")
     stems = [path.stem for path in (*files, *held_out)]
     for stem in known:
         if stem not in stems:
             raise StudyError(f"{source}: known.{stem}: no such recording; {choices(stem, stems)}")
         if stems.count(stem) > 1:
-            raise StudyError(
-                f"{source}: known.{stem}: found it in recordings and in holdout; allowed: a name of one"
-            )
+            raise StudyError(f"{source}: known.{stem}: found it in recordings and in holdout; allowed: a name of one")

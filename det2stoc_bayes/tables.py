@@ -28,9 +28,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def table(title: str, *headings: str) -> Table:
     """A plain table; a heading that ends in `>` is of numbers."""
-    made = Table(
-        title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False
-    )
+    made = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False)
     for heading in headings:
         made.add_column(heading.rstrip(">"), justify="right" if heading.endswith(">") else "left")
     return made
@@ -79,29 +77,21 @@ def check_tables(checked: "det2stoc_bayes.identifiability.Check") -> RenderableT
     recordings = table("recordings", "name", "role", "samples>", "seconds>", "columns>", "misfit / noise sd>")
     for r in checked.recordings:
         misfit = "diverges" if r.misfit == math.inf else number(r.misfit, 3)
-        recordings.add_row(
-            escape(r.name), r.role, str(r.samples), number(r.seconds), str(len(r.columns)), misfit
-        )
+        recordings.add_row(escape(r.name), r.role, str(r.samples), number(r.seconds), str(len(r.columns)), misfit)
     columns = table("columns", "name", "noise sd>", "")
     for c in checked.columns:
         columns.add_row(escape(c.name), number(c.noise, 3), "given" if c.given else "estimated")
     pairs = {tuple(sorted((p.name, other))) for p in checked.parameters for other in p.entangled}
-    notes = [
-        f"{a} and {b} are found together only: one can be traded for the other." for a, b in sorted(pairs)
-    ]
+    notes = [f"{a} and {b} are found together only: one can be traded for the other." for a, b in sorted(pairs)]
     return _stack([psi, recordings, columns, *(Text(n) for n in notes)])
 
 
 # --- fit ------------------------------------------------------------
 def fit_json(
-    rows: Sequence["det2stoc_bayes.report.summary.Row"], attributes: Mapping[str, Any], path: str
+    rows: Sequence["det2stoc_bayes.report.summary.Row"], attributes: Mapping[Any, Any], path: str
 ) -> dict[str, Any]:
     """A fit's summary, and where the whole of it is."""
-    about = {
-        k: attributes[k]
-        for k in ("method", "engine", "seed", "seconds_run", "simulations")
-        if k in attributes
-    }
+    about = {k: attributes[k] for k in ("method", "engine", "seed", "seconds_run", "simulations") if k in attributes}
     return about | {"file": path, "parameters": [vars(r) for r in rows]}
 
 
@@ -112,9 +102,7 @@ def fit_table(rows: Sequence["det2stoc_bayes.report.summary.Row"], title: str) -
         low, high = r.interval
         r_hat = MISSING if r.r_hat is None else f"{r.r_hat:.3f}"
         ess = MISSING if r.ess is None else f"{r.ess:.0f}"
-        made.add_row(
-            escape(r.name), number(r.mean), number(r.sd, 2), f"{number(low)} to {number(high)}", r_hat, ess
-        )
+        made.add_row(escape(r.name), number(r.mean), number(r.sd, 2), f"{number(low)} to {number(high)}", r_hat, ess)
     return made
 
 

@@ -42,9 +42,7 @@ def mode_of(problem: Problem) -> Expansion:
     return find_mode(Density.at(find_map(problem)))
 
 
-def normal_draws(
-    mode: Expansion, random: np.random.Generator, *shape: int
-) -> Float[np.ndarray, "*shape size"]:
+def normal_draws(mode: Expansion, random: np.random.Generator, *shape: int) -> Float[np.ndarray, "*shape size"]:
     """Draws of the Gaussian at the mode."""
     return mode.center + random.standard_normal((*shape, mode.density.size)) @ mode.scale.T
 
@@ -75,14 +73,10 @@ class Target:
         self._remembered = Remembered(source, density)
         self.terms = jax_terms(density, self._remembered)
 
-    def by_recording(
-        self, z: Float[np.ndarray, "chain draw size"]
-    ) -> Float[np.ndarray, "chain draw recordings"]:
+    def by_recording(self, z: Float[np.ndarray, "chain draw size"]) -> Float[np.ndarray, "chain draw recordings"]:
         """log likelihood of draws, most of which were simulated before."""
         flat = z.reshape(-1, z.shape[-1])
-        terms = (self._remembered.values if self._remembered else self.density.log_likelihood_by_recording)(
-            flat
-        )
+        terms = (self._remembered.values if self._remembered else self.density.log_likelihood_by_recording)(flat)
         return terms.reshape(*z.shape[:2], -1)
 
     def book(self, num_gradients: int) -> None:

@@ -71,9 +71,7 @@ def write_study(folder: Path, gravity: Sequence[float], *, seed: int = 0, settin
     for r, positions in enumerate(simulate(np.asarray(gravity, float), random, setting)):
         times = np.arange(setting.num_samples) * setting.steps_per_sample * TIMESTEP
         lines = [f"{t:.6f},{a:.17g},{b:.17g}" for t, (a, b) in zip(times, positions, strict=True)]
-        atomic_write(
-            folder / "recordings" / f"slide_{r + 1}.csv", "\n".join(["time," + ",".join(COLUMNS), *lines, ""])
-        )
+        atomic_write(folder / "recordings" / f"slide_{r + 1}.csv", "\n".join(["time," + ",".join(COLUMNS), *lines, ""]))
     return folder
 
 

@@ -79,7 +79,7 @@ def make_study(
     (folder / "study.toml").write_text('model = "model.xml"\nrecordings = "recordings/*.csv"\n' + toml)
     if recordings is None:
         time = np.arange(26) * 0.02
-        columns = [c for c in state_columns(mujoco.MjModel.from_xml_string(xml))]
+        columns = list(state_columns(mujoco.MjModel.from_xml_string(xml)))
         recordings = {"one": (time, {c: np.full(26, float(c.endswith("qw"))) for c in columns})}
     for name, (time, columns) in recordings.items():
         write_recording(folder / "recordings" / f"{name}.csv", time, columns)

@@ -4,11 +4,11 @@ The hook finds it by name, from the option --jaxtyping-packages in pyproject.tom
 """
 
 import numpy as np
-from beartype import BeartypeConf, BeartypeHintOverrides, beartype
+from beartype import BeartypeConf, FrozenDict, beartype
 from beartype.roar import BeartypeDecorHintPep673Exception
 
 # Numpy's numbers are numbers, and an int is welcome where a float is asked for.
-_WIDER = BeartypeHintOverrides({int: int | np.integer, float: float | int | np.floating | np.integer})
+_WIDER = FrozenDict({int: int | np.integer, float: float | int | np.floating | np.integer})
 _checked = beartype(conf=BeartypeConf(hint_overrides=_WIDER))
 
 

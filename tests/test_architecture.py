@@ -29,9 +29,7 @@ def _files() -> dict[str, Path]:
         if path.relative_to(package).parts[0] not in linked
     }
     return found | {
-        path.relative_to(ROOT).as_posix(): path
-        for name in linked
-        for path in sorted((ROOT / name).rglob("*.py"))
+        path.relative_to(ROOT).as_posix(): path for name in linked for path in sorted((ROOT / name).rglob("*.py"))
     }
 
 

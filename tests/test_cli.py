@@ -53,7 +53,7 @@ def _swing():
     return np.arange(76) * 0.02, {"qpos/hinge": values}
 
 
-def run(*arguments: str | Path):
+def run(*arguments: object):
     """A command in this process."""
     return CliRunner().invoke(cli.app, [str(a) for a in arguments])
 

@@ -71,9 +71,7 @@ def test_the_best_start_is_the_posterior_mean():
     for s in range(len(weight)):
         a = sensitivity[s] * weight[s][:, None]
         precision = a.T @ a + np.diag(prior_sd[s] ** -2)
-        np.testing.assert_allclose(
-            best[s], np.linalg.solve(precision, a.T @ (residual[s] * weight[s])), rtol=1e-9
-        )
+        np.testing.assert_allclose(best[s], np.linalg.solve(precision, a.T @ (residual[s] * weight[s])), rtol=1e-9)
 
 
 def test_a_start_off_its_prior_mean_costs_what_the_prior_says():
@@ -105,9 +103,7 @@ def test_quaternions_are_compared_up_to_their_sign(xp):
     predicted = align_quaternions(xp.asarray(flipped), xp.asarray(observed), [[1, 2, 3, 4]], xp)
     np.testing.assert_allclose(predicted, observed, rtol=1e-6)
     assert flipped[0, 0, 1] == -observed[0, 0, 1]  # the input is untouched
-    np.testing.assert_allclose(
-        residuals(xp.asarray(flipped), xp.asarray(observed), [[1, 2, 3, 4]], xp), 0, atol=1e-6
-    )
+    np.testing.assert_allclose(residuals(xp.asarray(flipped), xp.asarray(observed), [[1, 2, 3, 4]], xp), 0, atol=1e-6)
 
 
 @pytest.mark.parametrize("xp", [np, jnp])
@@ -119,6 +115,4 @@ def test_missing_values_have_no_residual(xp):
     observed = np.full((1, 2, 4), np.nan)
     observed[0, 1] = [1, 0, 0, 0]
     predicted = xp.asarray(np.array([[[-1.0, 0, 0, 0], [-1.0, 0, 0, 0]]]))
-    np.testing.assert_allclose(
-        align_quaternions(predicted, xp.asarray(observed), [[0, 1, 2, 3]], xp)[0, :, 0], [-1, 1]
-    )
+    np.testing.assert_allclose(align_quaternions(predicted, xp.asarray(observed), [[0, 1, 2, 3]], xp)[0, :, 0], [-1, 1])

@@ -83,9 +83,7 @@ def test_is_numpyros_distribution(prior: Prior):
     except (NotImplementedError, ImportError):
         return  # the families whose quantile NumPyro leaves to another package
     typical = np.median(np.abs(x - np.median(x)))
-    if (
-        prior.arguments.get("low", 0) < 8 and prior.arguments.get("high", 0) > -12
-    ):  # there NumPyro's own saturates
+    if prior.arguments.get("low", 0) < 8 and prior.arguments.get("high", 0) > -12:  # there NumPyro's own saturates
         np.testing.assert_allclose(x, numpyros, rtol=1e-5, atol=1e-7 * typical)
 
 
@@ -94,9 +92,7 @@ def test_numpyro_and_scipy_agree_on_moments_and_support(prior: Prior):
     draws = prior.from_normal(np.random.default_rng(0).normal(size=20_000))
     low, high = prior.support
     assert low <= draws.min() and draws.max() <= high
-    finite_sd = math.isfinite(prior.sd) and not (
-        prior.family == "Gamma" and prior.arguments["concentration"] < 1
-    )
+    finite_sd = math.isfinite(prior.sd) and not (prior.family == "Gamma" and prior.arguments["concentration"] < 1)
     if finite_sd:
         assert abs(draws.mean() - prior.mean) < 5 * prior.sd / math.sqrt(len(draws))
     if prior.family in ("Cauchy", "HalfCauchy"):

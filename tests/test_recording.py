@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pyarrow import parquet
 
+from det2stoc_bayes.engines.model_names import ModelNames
 from det2stoc_bayes.errors import StudyError
-from det2stoc_bayes.model_names import ModelNames
 from det2stoc_bayes.recording import StudyWarning, read_recording
 
 CUBE = tuple(f"qpos/cube/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz"))
@@ -35,9 +35,7 @@ def read(folder: Path, text: str, name: str = "drop.csv"):
 
 
 def test_reads_columns_controls_and_dropped_samples(tmp_path: Path):
-    text = (
-        "\ufefftime, qvel/slide ,ctrl/servo,qpos/slide\r\n0,1,,2\r\n\r\n.1,,3,-2.5e-3\r\n.3,4,,+.5\r\n.4,,5,1"
-    )
+    text = "\ufefftime, qvel/slide ,ctrl/servo,qpos/slide\r\n0,1,,2\r\n\r\n.1,,3,-2.5e-3\r\n.3,4,,+.5\r\n.4,,5,1"
     recording = read(tmp_path, text)
     assert recording.name == "drop"
     assert recording.columns == ("qvel/slide", "qpos/slide")
@@ -77,8 +75,7 @@ def test_round_trip(tmp_path: Path, steps: np.ndarray, data: st.DataObject):
     rows = data.draw(st.lists(st.tuples(number, number), min_size=len(time), max_size=len(time)))
     rows[0] = (1.0, -2.0)  # a column without any value is an error
     lines = [
-        ",".join("" if x is None else repr(x) for x in (float(t), *row))
-        for t, row in zip(time, rows, strict=True)
+        ",".join("" if x is None else repr(x) for x in (float(t), *row)) for t, row in zip(time, rows, strict=True)
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StudyWarning)

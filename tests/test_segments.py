@@ -11,9 +11,7 @@ from det2stoc_bayes.segments import all_columns, cut, from_pieces
 
 def record(name, time, columns=("qpos/a",), values=None, ctrl=None):
     time = np.asarray(time, float)
-    values = (
-        np.arange(len(time) * len(columns), dtype=float).reshape(len(time), -1) if values is None else values
-    )
+    values = np.arange(len(time) * len(columns), dtype=float).reshape(len(time), -1) if values is None else values
     ctrl = np.arange(len(time), dtype=float)[:, None] if ctrl is None else ctrl
     return Recording(name, time, tuple(columns), values, ctrl, Path(f"{name}.csv"))
 

@@ -8,8 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from det2stoc_bayes.engines.model_names import (
+    KINDS,
+    believed_value,
+    compile_model,
+    field_of,
+    model_names,
+    rows_of,
+)
 from det2stoc_bayes.errors import Det2StocError, ModelError
-from det2stoc_bayes.model_names import KINDS, believed_value, compile_model, field_of, model_names, rows_of
 from det2stoc_bayes.recording import StudyWarning
 from det2stoc_bayes.study import Target, load_study
 
@@ -109,9 +116,7 @@ def test_psi_toml_is_read_with_defaults(folder: Path):
 def test_names_of_the_model(folder: Path):
     names = load_study(folder).names
     assert names.columns[:4] == ("qpos/box/x", "qpos/box/y", "qpos/box/z", "qpos/box/qw")
-    assert {"qvel/box/vx", "qvel/box/wz", "qpos/ball/qz", "qvel/ball/wx", "sensor/gyro/0"} < set(
-        names.columns
-    )
+    assert {"qvel/box/vx", "qvel/box/wz", "qpos/ball/qz", "qvel/ball/wx", "sensor/gyro/0"} < set(names.columns)
     assert names.columns[-3:] == ("sensor/gyro/1", "sensor/gyro/2", "sensor/encoder")
     assert not {"qpos/ball/x", "qvel/ball/vx", "sensor/gyro", "sensor/"} & set(names.columns)
     assert names.actuators == ("motor", "") and names.elements["actuator"] == ("motor",)
@@ -288,15 +293,11 @@ def test_model_files_do_not_lead_outside(folder: Path, part: str):
 def test_included_files_within_the_folder_are_read(folder: Path):
     (folder / "parts").mkdir()
     (folder / "parts/part.xml").write_text("<mujoco><option timestep='0.003'/></mujoco>")
-    (folder / "model.xml").write_text(
-        MODEL.replace("<worldbody>", "<include file='parts/part.xml'/><worldbody>")
-    )
+    (folder / "model.xml").write_text(MODEL.replace("<worldbody>", "<include file='parts/part.xml'/><worldbody>"))
     assert load_study(folder).recordings
 
 
-@pytest.mark.parametrize(
-    "text", ["", "<mujoco>", "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "x"]
-)
+@pytest.mark.parametrize("text", ["", "<mujoco>", "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "x"])
 def test_models_that_do_not_compile(folder: Path, text: str):
     (folder / "model.xml").write_text(text)
     message = refusal(folder)

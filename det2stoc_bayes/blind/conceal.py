@@ -127,9 +127,7 @@ def _record(
     }
     if effect is not None:
         entry = {"name": effect.name, "element": {"kind": effect.kind, "name": effect.element}}
-        answer["effects"] = [
-            {**entry, "parameters": effect.parameters, "accepted": accepted(system, psi, effect)}
-        ]
+        answer["effects"] = [{**entry, "parameters": effect.parameters, "accepted": accepted(system, psi, effect)}]
     return ConcealedCase(seed, files, answer)
 
 

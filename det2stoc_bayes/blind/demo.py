@@ -34,9 +34,7 @@ def main(arguments: list[str] | None = None) -> int:
     console.print(f"[bold]Seed {seed}[/bold]: concealing an effect in a study under {study} ...")
     case = make_case(seed, system=a.system, effect=a.effect, control=a.control)
     case.write(study)
-    console.print(
-        f"The study has {len(case.study_files)} files; the answer is in this process's memory only.\n"
-    )
+    console.print(f"The study has {len(case.study_files)} files; the answer is in this process's memory only.\n")
     command = [sys.executable, "-m", "det2stoc_bayes", "diagnose", str(study), "--out", str(diagnosis_folder)]
     try:
         code = subprocess.run(command, check=False).returncode
@@ -45,9 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     result = diagnosis_folder / "diagnosis.json"
     if code != 0 or not result.is_file():
-        console.print(
-            f"[red]The diagnosis ended with code {code}[/red] and left no result to compare. Run again:"
-        )
+        console.print(f"[red]The diagnosis ended with code {code}[/red] and left no result to compare. Run again:")
         console.print("  " + " ".join(command), soft_wrap=True)
         return code or 1
     reveal(case, json.loads(result.read_text(encoding="utf-8")), console)
@@ -103,9 +99,7 @@ def _estimate(entry: Mapping[str, Any] | None) -> str:
         return ""
     interval, mean = entry.get("interval"), entry.get("mean")
     if isinstance(mean, int | float) and interval:
-        return f"{mean:.4g} [{interval[0]:.4g}, {interval[1]:.4g}] {entry.get('unit', '')}".replace(
-            "[", r"\[", 1
-        )
+        return f"{mean:.4g} [{interval[0]:.4g}, {interval[1]:.4g}] {entry.get('unit', '')}".replace("[", r"\[", 1)
     return str(mean if mean is not None else entry).replace("[", r"\[")
 
 

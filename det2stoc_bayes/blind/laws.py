@@ -52,9 +52,7 @@ LAWS: dict[str, Law] = {
     "cubic_stiffness": Law("joint", "stiffness", {"stiffness": "N/m3|N m/rad3"}, 2000.0),
     "constant_force": Law("joint", "force", {"force": "N|N m"}, 20.0, signed=True),
     "armature": Law("joint", "inertia", {"inertia": "kg|kg m2"}, 2.0),
-    "cogging_torque": Law(
-        "joint", "amplitude", {"amplitude": "N|N m", "cycles": "1/m|1/rad", "phase": "rad"}, 20.0
-    ),
+    "cogging_torque": Law("joint", "amplitude", {"amplitude": "N|N m", "cycles": "1/m|1/rad", "phase": "rad"}, 20.0),
     "quadratic_drag": Law("body", "coefficient", {"coefficient": "kg/m"}, 50.0),
     "actuator_delay": Law("actuator", "delay", {"delay": "s"}, 0.08),
     "actuator_gain": Law("actuator", "ratio", {"ratio": "1"}, 0.5, signed=True, neutral=1.0),

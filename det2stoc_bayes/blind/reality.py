@@ -60,9 +60,7 @@ def simulate_reality(
     return laws.measure(effect, system.columns(), states)
 
 
-def simulate_believed(
-    model: mujoco.MjModel, start: np.ndarray, times: np.ndarray, commands: np.ndarray
-) -> np.ndarray:
+def simulate_believed(model: mujoco.MjModel, start: np.ndarray, times: np.ndarray, commands: np.ndarray) -> np.ndarray:
     """The believed model's columns, (samples, columns); the sampling is a multiple of its timestep."""
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = start[: model.nv], start[model.nv :]

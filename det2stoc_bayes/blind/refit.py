@@ -48,9 +48,7 @@ def unabsorbed(
         return result
 
     low = np.array([(entry.support()[0] - psi[entry.name]) / scales[i] for i, entry in enumerate(system.psi)])
-    high = np.array(
-        [(entry.support()[1] - psi[entry.name]) / scales[i] for i, entry in enumerate(system.psi)]
-    )
+    high = np.array([(entry.support()[1] - psi[entry.name]) / scales[i] for i, entry in enumerate(system.psi)])
     z = np.zeros(psi_count + len(starts) * state)
     best, damping = residual(z), 1e-6
     for _ in range(6):  # Levenberg-Marquardt on the normal equations

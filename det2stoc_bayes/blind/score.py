@@ -120,9 +120,7 @@ def score_table(scores: Sequence[CaseScore], names: Sequence[str] | None = None)
         "width",
         "psi in 95 %",
     ):
-        table.add_column(
-            heading, justify="left" if heading in ("case", "concealed", "diagnosed") else "right"
-        )
+        table.add_column(heading, justify="left" if heading in ("case", "concealed", "diagnosed") else "right")
     for index, one in enumerate(scores):
         right = "yes" if one.named else "listed" if one.listed else "[red]no[/red]"
         table.add_row(

@@ -47,9 +47,7 @@ class Found:
     believed: tuple[float, str] | None = None
 
 
-def find(
-    rng: np.random.Generator, probe: Probe, pair: tuple[str, str], wanted: float, fixed: bool
-) -> Found | None:
+def find(rng: np.random.Generator, probe: Probe, pair: tuple[str, str], wanted: float, fixed: bool) -> Found | None:
     """An effect that psi cannot absorb; made larger, up to the largest, where psi takes too much of it."""
     if pair[0] == "numerical_integration":
         found = _coarse(probe, wanted)

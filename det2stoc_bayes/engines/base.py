@@ -74,3 +74,7 @@ class Engine(Protocol):
     def rollout(self, request: Request) -> Float[np.ndarray, "sims samples columns"]:
         """Predicted values of the segments' columns at their sample times; NaN where a simulation diverged."""
         ...
+
+    def trajectory(self, request: Request) -> Trajectory:
+        """The same with the states behind them."""
+        ...

@@ -1,11 +1,9 @@
 """Typical forces, speeds and travels in a model's own simulation."""
 
-from collections.abc import Sequence
-
 import mujoco
 import numpy as np
 
-from det2stoc_bayes.layout import column_address
+from det2stoc_bayes.engines.layout import column_address
 from det2stoc_bayes.mismatch.effects.base import Element, Typical
 from det2stoc_bayes.problem import Problem
 
@@ -17,7 +15,9 @@ class Magnitudes:
 
     def __init__(self, problem: Problem):
         self.problem, self.model = problem, problem.simulator.model
-        self._track = {name: [] for name in ("qpos", "qvel", "force", "inertia", "body_speed", "body_force", "sensordata")}
+        self._track = {
+            name: [] for name in ("qpos", "qvel", "force", "inertia", "body_speed", "body_force", "sensordata")
+        }
         segments = problem.segments
         steps = max(MAX_STEPS // segments.count, 50)
         commands = segments.commands(np.arange(segments.count), self.model.opt.timestep, steps)
@@ -46,8 +46,13 @@ class Magnitudes:
                 return
             mujoco.mj_fullM(model, data, full)
             parts = (data.qfrc_actuator, data.qfrc_passive, data.qfrc_bias)
-            row = {"qpos": data.qpos, "qvel": data.qvel, "force": np.sqrt(sum(p**2 for p in parts)),
-                   "inertia": np.diag(full), "sensordata": data.sensordata}
+            row = {
+                "qpos": data.qpos,
+                "qvel": data.qvel,
+                "force": np.sqrt(sum(p**2 for p in parts)),
+                "inertia": np.diag(full),
+                "sensordata": data.sensordata,
+            }
             speeds = []
             for b in range(model.nbody):
                 mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, b, velocity, 0)
@@ -59,13 +64,21 @@ class Magnitudes:
 
     def of(self, element: Element) -> Typical:
         """Root mean squares over the simulation (span: half the range), with floors for what hardly moves."""
-        base = {"timestep": float(self.model.opt.timestep),
-                "integrator": mujoco.mjtIntegrator(self.model.opt.integrator).name.removeprefix("mjINT_")}
+        base = {
+            "timestep": float(self.model.opt.timestep),
+            "integrator": mujoco.mjtIntegrator(self.model.opt.integrator).name.removeprefix("mjINT_"),
+        }
         if element.kind == "joint":
             inertia = max(self._rms("inertia", element.dof), 1e-9)
             speed = max(self._rms("qvel", element.dof), 1e-2)
             span = max(self._span("qpos", element.qpos), 1e-2)
-            return Typical(max(self._rms("force", element.dof), 0.1 * inertia * speed**2 / span), speed, span, inertia, **base)
+            return Typical(
+                max(self._rms("force", element.dof), 0.1 * inertia * speed**2 / span),
+                speed,
+                span,
+                inertia,
+                **base,
+            )
         if element.kind == "body":
             speed = max(self._rms("body_speed", element.body), 1e-2)
             mass = max(float(self.model.body_mass[element.body]), 1e-9)

@@ -73,9 +73,7 @@ class Mjx:
             model = _with_options(self._model, timestep, integrator)
             one = Simulation(model, columns, effects, tuple(fields), nonzero)
             # Only the axes of start, times, commands, fields and parameters are simulations.
-            many = jax.jit(
-                lambda before, *a: jax.vmap(lambda *b: one.trajectory(*b, before))(*a), static_argnums=0
-            )
+            many = jax.jit(_vmapped(one.trajectory), static_argnums=0)
             self._compiled[key] = one, many
         return self._compiled[key]
 
@@ -87,12 +85,8 @@ class Mjx:
         """
         return _Predict(self, problem, start)
 
-    def _run(
-        self, request: Request, rows: Int[np.ndarray, " n"], fields, effects, parameters
-    ) -> list[np.ndarray]:
-        one, many = self.simulation(
-            request.segments.columns, effects, fields, request.timestep, request.integrator
-        )
+    def _run(self, request: Request, rows: Int[np.ndarray, " n"], fields, effects, parameters) -> list[np.ndarray]:
+        one, many = self.simulation(request.segments.columns, effects, fields, request.timestep, request.integrator)
         segments, which = request.segments, request.which[rows]
         before = _num_before(effects, parameters, one.dt)
         num_steps = int(segments.steps(one.dt)[request.which].max())
@@ -126,10 +120,7 @@ class _Predict:
         self._problem, segments = problem, problem.segments
         names = [segments.recordings[r].name for r in segments.recording]
         examples = np.random.default_rng(0).standard_normal((3, problem.size))
-        fields = [
-            problem.simulator.fields(np.repeat(problem.psi(z[None]), segments.count, 0), names)
-            for z in examples
-        ]
+        fields = [problem.simulator.fields(np.repeat(problem.psi(z[None]), segments.count, 0), names) for z in examples]
         merged = {name: np.concatenate([f[name] for f in fields]) for name in fields[0]}
         self._one, _ = engine.simulation(
             segments.columns, problem.effects, merged, problem.timestep, problem.integrator
@@ -138,9 +129,7 @@ class _Predict:
         farthest = [problem.effect_values(np.full((1, problem.size), s)) for s in (-FARTHEST, FARTHEST)]
         self._before = max(_num_before(problem.effects, values, self._one.dt) for values in farthest)
         num_steps = int(segments.steps(self._one.dt).max())
-        self._ctrl = jnp.asarray(
-            segments.commands(np.arange(segments.count), self._one.dt, num_steps, self._before)
-        )
+        self._ctrl = jnp.asarray(segments.commands(np.arange(segments.count), self._one.dt, num_steps, self._before))
         self._time = jnp.asarray(segments.time)
         self._start = tuple(jnp.asarray(a) for a in (start.qpos, start.qvel, start.act))
         self._model = problem.simulator.model
@@ -191,15 +180,12 @@ def _groups(
         rows = np.flatnonzero(np.ravel(member) == k)
         chosen = [e for e, on in zip(effects, kinds[:, k], strict=True) if on]
         parameters = [
-            {n: np.asarray(v, float)[rows - e.rows.indices(count)[0]] for n, v in e.parameters.items()}
-            for e in chosen
+            {n: np.asarray(v, float)[rows - e.rows.indices(count)[0]] for n, v in e.parameters.items()} for e in chosen
         ]
         yield rows, tuple(e.placed for e in chosen), parameters
 
 
-def _num_before(
-    effects: Sequence[PlacedEffect], parameters: Sequence[Mapping[str, np.ndarray]], dt: float
-) -> int:
+def _num_before(effects: Sequence[PlacedEffect], parameters: Sequence[Mapping[str, np.ndarray]], dt: float) -> int:
     """Steps before a start whose commands still matter."""
     return max(
         (
@@ -215,9 +201,7 @@ def _nonzero(model: mujoco.MjModel, fields, effects: Sequence[PlacedEffect]) -> 
     """Places where some simulation is not 0, in fields that MJX leaves out where the model is 0."""
     found: set[tuple[str, int]] = set()
     for name in NEEDED_NONZERO:
-        base = np.array(
-            getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name), float
-        )
+        base = np.array(getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name), float)
         values = np.reshape(fields[name], (-1, base.size)) if name in fields else base.reshape(1, -1)
         found |= {(name, int(i)) for i in np.flatnonzero((values != 0).any(0))}
         for e in effects:
@@ -236,3 +220,12 @@ def _with_options(model: mujoco.MjModel, timestep: float | None, integrator: str
     if integrator is not None:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
     return model
+
+
+def _vmapped(trajectory: Callable) -> Callable:
+    """Over simulations: the axes of start, times, commands, fields and parameters, but not the static look-back."""
+
+    def many(before, *arrays):
+        return jax.vmap(lambda *one: trajectory(*one, before))(*arrays)
+
+    return many

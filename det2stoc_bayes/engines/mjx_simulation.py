@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from det2stoc_bayes.engines.layout import column_address
 from det2stoc_bayes.engines.mjx_constants import ancestor_matrix, derived_constants
 from det2stoc_bayes.engines.mjx_support import check_effect, check_fields, check_supported
-from det2stoc_bayes.layout import column_address
 from det2stoc_bayes.mismatch.effects.base import BodyState, JointState, PlacedEffect
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missing, which nothing here uses
@@ -71,9 +71,7 @@ class Simulation:
         self._lead = 0.5 * self.dt if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
         self._rederive = bool(changed & _INERTIAL)
         self._spins = [
-            int(v) + {0: 3, 1: 0}[int(k)]
-            for k, v in zip(model.jnt_type, model.jnt_dofadr, strict=True)
-            if k < 2
+            int(v) + {0: 3, 1: 0}[int(k)] for k, v in zip(model.jnt_type, model.jnt_dofadr, strict=True) if k < 2
         ]
         self._sensors = any(a.source == "sensordata" for a in self.addresses)
         self._forced = [i for i, e in enumerate(effects) if not in_fields(e) and e.effect.uses("joint_force")]
@@ -91,9 +89,7 @@ class Simulation:
         fields: Mapping[str, Float[Array, "..."]],
         parameters: Sequence[Parameters],
         num_before: int = 0,
-    ) -> tuple[
-        Float[Array, "samples columns"], Float[Array, "samples nq"], Float[Array, "samples nv"], Array
-    ]:
+    ) -> tuple[Float[Array, "samples columns"], Float[Array, "samples nq"], Float[Array, "samples nv"], Array]:
         """Columns, qpos, qvel, act at the sample times; the first `num_before` commands precede the start."""
         model = self.model(fields, parameters)
         for placed, p in zip(self.effects, parameters, strict=True):
@@ -125,16 +121,15 @@ class Simulation:
             "sensordata": jnp.concatenate([sensors, sensors[-1:]]),
         }
         at = (stamps - stamps[0]) / self.dt
-        return self._read(series, stamps, parameters), *(_interpolate(s, at) for s in states)
+        qpos, qvel, act = (_interpolate(s, at) for s in states)
+        return self._read(series, stamps, parameters), qpos, qvel, act
 
     def model(self, fields: Mapping[str, Float[Array, "..."]], parameters: Sequence[Parameters]) -> Any:
         """The mjx.Model with varied fields, changed by effects, and the constants that follow from them."""
         changed = {name: jnp.asarray(value, float) for name, value in fields.items()}
         for placed, p in zip(self.effects, parameters, strict=True):
             if in_fields(placed):
-                inside = {
-                    n: changed[n] if n in changed else _get(self._model, n) for n in placed.effect.changes
-                }
+                inside = {n: changed[n] if n in changed else _get(self._model, n) for n in placed.effect.changes}
                 changed |= placed.effect.fields(p, inside, placed.element, jnp)
         for name, there in (
             ("dof_frictionloss", self._model._impl.dof_hasfrictionloss),
@@ -244,9 +239,7 @@ def _get(model, name: str):
     return getattr(model.opt if holder == "opt" else model, leaf)
 
 
-def _interpolate(
-    values: Float[Array, "steps *k"], at: Float[Array, " samples"]
-) -> Float[Array, "samples *k"]:
+def _interpolate(values: Float[Array, "steps *k"], at: Float[Array, " samples"]) -> Float[Array, "samples *k"]:
     """Linear between steps; a little before the first step along the first step's slope."""
     low = jnp.clip(jnp.floor(jax.lax.stop_gradient(at)).astype(int), 0, len(values) - 2)
     share = jnp.expand_dims(at - low, tuple(range(1, values.ndim)))

@@ -33,9 +33,7 @@ def check_supported(model: mujoco.MjModel) -> None:
     try:
         mjx.make_data(mjx.put_model(model))
     except NotImplementedError as error:
-        raise EngineError(
-            f"mjx: {_one_line(error)}; allowed: what MJX implements, or the engine c"
-        ) from error
+        raise EngineError(f"mjx: {_one_line(error)}; allowed: what MJX implements, or the engine c") from error
 
 
 def check_fields(model: mujoco.MjModel, fields: Sequence[str]) -> None:
@@ -62,9 +60,7 @@ def check_effect(model: mujoco.MjModel, placed: PlacedEffect) -> None:
     if effect.changes and effect.in_mjx_fields:
         check_fields(model, effect.changes)
     elif effect.changes and not effect.uses("joint_force"):
-        raise EngineError(
-            f"mjx: effect {placed.label} is a model field that MJX does not read; allowed: the engine c"
-        )
+        raise EngineError(f"mjx: effect {placed.label} is a model field that MJX does not read; allowed: the engine c")
 
 
 def _arrays() -> frozenset[str]:
@@ -91,8 +87,7 @@ def _options(m: mujoco.MjModel) -> Iterator[_Fault]:
             "Euler, RK4",
         )
     off = [
-        bool(m.opt.disableflags & f)
-        for f in (mujoco.mjtDisableBit.mjDSBL_SPRING, mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        bool(m.opt.disableflags & f) for f in (mujoco.mjtDisableBit.mjDSBL_SPRING, mujoco.mjtDisableBit.mjDSBL_DAMPER)
     ]
     if off[0] != off[1]:
         yield (

@@ -1,8 +1,9 @@
 """The C engine: many simulations at once on all cores through `mujoco.batch`."""
 
 import copy
-from dataclasses import astuple
 import threading
+from collections.abc import Mapping
+from dataclasses import astuple
 
 import mujoco
 import mujoco.batch
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import Counter, EffectRows, Request, Trajectory
-from det2stoc_bayes.layout import column_address
+from det2stoc_bayes.engines.layout import column_address
 from det2stoc_bayes.mismatch.effects.base import BodyState, JointState
 from det2stoc_bayes.segments import TIME_SLACK
 
@@ -26,7 +27,7 @@ class MujocoC:
     name = "c"
 
     def __init__(self, model: mujoco.MjModel, num_threads: int = 0):
-        self._models = {(None, None): _without_autoreset(model)}
+        self._models: dict[tuple[float | None, str | None], mujoco.MjModel] = {(None, None): _without_autoreset(model)}
         self._threads = num_threads
         self.counter = Counter()
 
@@ -47,7 +48,11 @@ class MujocoC:
                 parts.append(_Chunk(model, request, rows, int(steps[rows].max()), self._threads).run(states))
             self.counter.simulations += rows.stop - rows.start
             self.counter.steps += (rows.stop - rows.start) * int(steps[rows].max())
-        return parts[0] if len(parts) == 1 else Trajectory(*(np.concatenate(x) for x in zip(*map(astuple, parts), strict=True)))
+        return (
+            parts[0]
+            if len(parts) == 1
+            else Trajectory(*(np.concatenate(x) for x in zip(*map(astuple, parts), strict=True)))
+        )
 
     def _model(self, timestep: float | None, integrator: str | None) -> mujoco.MjModel:
         key = (timestep, integrator)
@@ -127,8 +132,10 @@ class _Chunk:
         sources = {a.source for a in self.addresses}
         items = {"qpos", "qvel"} | sources | ({"act"} if states and self.model.na else set())
         record = self._step(ctrl, items) if self.stepped else self._roll(ctrl, items)
-        series = {"qpos": np.concatenate([start.qpos[:, None], record["qpos"]], 1),
-                  "qvel": np.concatenate([start.qvel[:, None], record["qvel"]], 1)}
+        series = {
+            "qpos": np.concatenate([start.qpos[:, None], record["qpos"]], 1),
+            "qvel": np.concatenate([start.qvel[:, None], record["qvel"]], 1),
+        }
         if "sensordata" in sources:
             # Sensor values describe the state before the step; the last one is held.
             series["sensordata"] = np.concatenate([record["sensordata"], record["sensordata"][:, -1:]], 1)
@@ -153,7 +160,9 @@ class _Chunk:
             for name in effect.placed.effect.changes:
                 fields.setdefault(name, self.batch.expand(name))
             inside = {name: fields[name][effect.rows] for name in effect.placed.effect.changes}
-            for name, value in effect.placed.effect.fields(effect.parameters, inside, effect.placed.element, np).items():
+            for name, value in effect.placed.effect.fields(
+                effect.parameters, inside, effect.placed.element, np
+            ).items():
                 fields[name][effect.rows] = value
         if any(name in _SET_CONST_INPUTS for name in fields):
             self.batch.set_const()
@@ -168,8 +177,10 @@ class _Chunk:
             ctrl[e.rows, :, a] = e.placed.effect.control(e.parameters, ctrl[e.rows, :, a], self.dt, np)
         return ctrl[:, before:]
 
-    def _roll(self, ctrl, items) -> dict[str, np.ndarray]:
-        return self.batch.rollout(self.num_steps, ctrl if self.model.nu else None, int(_STATE.mjSTATE_CTRL), tuple(items))
+    def _roll(self, ctrl, items) -> Mapping:
+        return self.batch.rollout(
+            self.num_steps, ctrl if self.model.nu else None, int(_STATE.mjSTATE_CTRL), tuple(items)
+        )
 
     def _step(self, ctrl, items) -> dict[str, np.ndarray]:
         batch, model = self.batch, self.model
@@ -215,8 +226,11 @@ class _Chunk:
         stamps = self.segments.time[self.which]
         out = np.empty((*stamps.shape, len(self.addresses)))
         for j, (column, address) in enumerate(zip(self.segments.columns, self.addresses, strict=True)):
-            effects = [e for e in self.effects if e.placed.element.kind == "sensor"
-                       and e.placed.element.column in (column, "time")]
+            effects = [
+                e
+                for e in self.effects
+                if e.placed.element.kind == "sensor" and e.placed.element.column in (column, "time")
+            ]
             times = np.array(stamps)
             for e in effects:
                 if e.placed.effect.uses("sample_time"):
@@ -241,8 +255,11 @@ def _restrict(e: EffectRows, rows: slice) -> EffectRows | None:
     if begin >= stop:
         return None
     inside = slice(begin - e.rows.start, stop - e.rows.start)
-    return EffectRows(e.placed, slice(begin - rows.start, stop - rows.start),
-                      {name: values[inside] for name, values in e.parameters.items()})
+    return EffectRows(
+        e.placed,
+        slice(begin - rows.start, stop - rows.start),
+        {name: values[inside] for name, values in e.parameters.items()},
+    )
 
 
 def _interpolate(

@@ -60,9 +60,7 @@ def hooks_of(effect: Effect) -> tuple[str, ...]:
     return tuple(h for h in used if not (h == "joint_force" and effect.changes))
 
 
-def module_text(
-    effects: Sequence[tuple[PlacedEffect, Values]], fields: Sequence[FieldWrite] = ()
-) -> str | None:
+def module_text(effects: Sequence[tuple[PlacedEffect, Values]], fields: Sequence[FieldWrite] = ()) -> str | None:
     """The text of effects.py, or None where the model's file says it all."""
     active = [(placed, values, hooks_of(placed.effect)) for placed, values in effects]
     hooks = [h for h in _SERVED if any(h in used for _, _, used in active)]
@@ -87,9 +85,7 @@ def module_text(
         "\n".join(_imports(hooks)),
         "\n\n".join(constants),
         *laws.sources.values(),
-        "\n".join(
-            _table(_SERVED[h][0], tables[h]) for h in _SERVED if h in (*hooks, "sample_time", "reading")
-        ),
+        "\n".join(_table(_SERVED[h][0], tables[h]) for h in _SERVED if h in (*hooks, "sample_time", "reading")),
         _fields_table(fields) if fields else "",
         "MEMORIES = WeakKeyDictionary()  # data object -> what is remembered of it",
         *_runtime_sources(hooks, bool(fields)),
@@ -124,9 +120,7 @@ class _Laws:
         tree = ast.parse(source)
         used = {node.id for node in ast.walk(_bare(tree)) if isinstance(node, ast.Name)}
         if used & {"self", "super", "cls"}:
-            raise ModelError(
-                f"effects.py: {name} needs its class for more than self.<name>; allowed: nothing else"
-            )
+            raise ModelError(f"effects.py: {name} needs its class for more than self.<name>; allowed: nothing else")
         for outside in sorted(used & set(function.__globals__)):
             self._outside(outside, function.__globals__[outside], name)
         return source if _is_bare(source) else ast.unparse(tree)
@@ -166,17 +160,13 @@ def _is_bare(source: str) -> bool:
     return ast.dump(tree) == ast.dump(_bare(ast.parse(source)))
 
 
-def _header(
-    active: Sequence[tuple[PlacedEffect, Values, tuple[str, ...]]], fields: Sequence[FieldWrite]
-) -> str:
+def _header(active: Sequence[tuple[PlacedEffect, Values, tuple[str, ...]]], fields: Sequence[FieldWrite]) -> str:
     lines = [f"What patched.xml cannot hold, for MuJoCo {mujoco.__version__}; needs mujoco and numpy.", ""]
     for number, (placed, values, _) in enumerate((a for a in active if a[2]), 1):
         lines.append(f"{number}. {placed.label}: {placed.effect.law_text}")
         lines += [f"   {text}" for text in parameter_texts(placed, values)]
     if fields:
-        lines.append(
-            f"Fields that MJCF cannot express, which reset writes: {', '.join(f.field for f in fields)}."
-        )
+        lines.append(f"Fields that MJCF cannot express, which reset writes: {', '.join(f.field for f in fields)}.")
     text = "\n".join([*lines, "", "Use:"]).replace("\\", "/").replace('"""', "'")
     return f'"""{text}\n{_LOOP}"""'
 
@@ -219,11 +209,7 @@ def _fields_table(fields: Sequence[FieldWrite]) -> str:
 
 
 def _runtime_sources(hooks: Sequence[str], fields: bool) -> list[str]:
-    served = (
-        {name for h in hooks for name in _SERVED[h][1]}
-        | set(_ALWAYS)
-        | ({"write_fields"} if fields else set())
-    )
+    served = {name for h in hooks for name in _SERVED[h][1]} | set(_ALWAYS) | ({"write_fields"} if fields else set())
     members = [v for v in vars(runtime).values() if getattr(v, "__module__", "") == runtime.__name__]
     return [inspect.getsource(m) for m in members if m.__name__ in served]
 

@@ -162,9 +162,7 @@ def place_of(model, column):
     if source == "sensor":
         return source, model.sensor(name).adr[0] + int(part or 0)
     joint = model.joint(name)
-    parts = (
-        ["x", "y", "z", "qw", "qx", "qy", "qz"] if source == "qpos" else ["vx", "vy", "vz", "wx", "wy", "wz"]
-    )
+    parts = ["x", "y", "z", "qw", "qx", "qy", "qz"] if source == "qpos" else ["vx", "vy", "vz", "wx", "wy", "wz"]
     if joint.type[0] == mujoco.mjtJoint.mjJNT_BALL:
         parts = parts[3:]
     first = joint.qposadr[0] if source == "qpos" else joint.dofadr[0]

@@ -28,8 +28,10 @@ def propose(a: Fit, b: Fit) -> Proposal:
         for scale in SCALES:
             for name, gain, start in _gains(a, b, part, scale):
                 if best is None or gain > best.expected_gain:
-                    text = (f"Record again as in {name} with its {part} times {scale:g}: the two best explanations "
-                            f"should then differ by about {gain:.0f} nats.")
+                    text = (
+                        f"Record again as in {name} with its {part} times {scale:g}: the two best explanations "
+                        f"should then differ by about {gain:.0f} nats."
+                    )
                     command = f"commands of {name}" + (f" times {scale:g}" if part == "commands" else "")
                     best = Proposal(text, command, start, gain)
     assert best is not None
@@ -59,7 +61,8 @@ def _gains(a: Fit, b: Fit, part: str, scale: float):
     for s, gain in enumerate(0.5 * (x**2).sum(1)):
         name = segments.recordings[segments.recording[s]].name
         factor = scale if part == "initial state" else 1.0
-        start = {"qpos": (factor * a.point.start.qpos[s]).tolist(), "qvel": (factor * a.point.start.qvel[s]).tolist()}
+        start = {
+            "qpos": (factor * a.point.start.qpos[s]).tolist(),
+            "qvel": (factor * a.point.start.qvel[s]).tolist(),
+        }
         yield name, float(gain), start
-
-

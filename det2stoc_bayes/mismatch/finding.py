@@ -26,9 +26,7 @@ type Json = None | bool | int | float | str | list[Json] | dict[str, Json]
 type Number = float | None
 type Numbers = Number | tuple[Number, ...]
 Probability = Annotated[float, Field(ge=0, le=1)]
-Share = Annotated[
-    float, Field(le=1, description="fraction of the squared whitened residual in excess of noise")
-]
+Share = Annotated[float, Field(le=1, description="fraction of the squared whitened residual in excess of noise")]
 
 
 class FindingInvalid(Det2StocError):
@@ -85,9 +83,7 @@ class Where(Entry):
 
 class Evidence(Entry):
     log10_bayes_factor: Number = Field(description="best explanation against psi alone")
-    noise_inflation: Number = Field(
-        description="variance ratio under the believed model; null: noise inferred"
-    )
+    noise_inflation: Number = Field(description="variance ratio under the believed model; null: noise inferred")
 
 
 class Quantity(Entry):
@@ -213,9 +209,7 @@ class Finding(Entry):
 @cache
 def schema() -> dict[str, Any]:
     """The JSON Schema of diagnosis.json that ships with the package."""
-    return json.loads(
-        (files("det2stoc_bayes.mismatch") / "schema" / "diagnosis.schema.json").read_text("utf-8")
-    )
+    return json.loads((files("det2stoc_bayes.mismatch") / "schema" / "diagnosis.schema.json").read_text("utf-8"))
 
 
 def generate_schema() -> dict[str, Any]:

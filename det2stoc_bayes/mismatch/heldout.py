@@ -38,15 +38,23 @@ def horizon_samples(fit: Fit) -> int | None:
     segments = fit.problem.segments
     if segments.count == len(segments.recordings):
         return None
-    return int(np.median(np.isfinite(segments.values).any(2).sum(1)))
+    return int(np.median(segments.lengths))
 
 
 def evaluate(fit: Fit, z_by_recording: dict[str, np.ndarray], recordings: tuple[Recording, ...]) -> HeldOut:
     """Scores of recordings under the unknowns given for each of them."""
-    rows = [_one(fit, z_by_recording[r.name], r) for r in recordings]
+    scores = [_one(fit, z_by_recording[r.name], r) for r in recordings]
     names = tuple(r.name for r in recordings)
-    columns = [np.array(x) for x in zip(*[row[:5] for row in rows], strict=True)]
-    return HeldOut(names, *columns, {n: row[5] for n, row in zip(names, rows, strict=True)})
+    density, chi2, values, error, count, paths = zip(*scores, strict=True)
+    return HeldOut(
+        names,
+        np.array(density),
+        np.array(chi2),
+        np.array(values),
+        np.array(error),
+        np.array(count),
+        dict(zip(names, paths, strict=True)),
+    )
 
 
 def _one(fit: Fit, z: np.ndarray, recording: Recording):
@@ -64,11 +72,17 @@ def _one(fit: Fit, z: np.ndarray, recording: Recording):
     error = problem.residuals(predicted).reshape(segments.values.shape)
     counted = segments.observed.copy()
     for s in range(segments.count):
-        counted[s, : _warm(int(segments.observed[s].any(1).sum()))] = False
+        counted[s, : _warm(int(segments.lengths[s]))] = False
     error = np.where(counted, error, 0.0)
-    path = np.concatenate([p[seen] for p, seen in zip(predicted, segments.observed.any(2), strict=True)])
-    return (lin.latent.log_normalizer - 0.5 * chi2, chi2, float(lin.degrees_of_freedom),
-            (error**2).sum((0, 1)), counted.sum((0, 1)).astype(float), path)
+    path = np.concatenate([p[:n] for p, n in zip(predicted, segments.lengths, strict=True)])
+    return (
+        lin.latent.log_normalizer - 0.5 * chi2,
+        chi2,
+        float(lin.degrees_of_freedom),
+        (error**2).sum((0, 1)),
+        counted.sum((0, 1)).astype(float),
+        path,
+    )
 
 
 def _warm(length: int) -> int:
@@ -80,7 +94,7 @@ def _rollout(problem: Problem, z: np.ndarray) -> Float[np.ndarray, "segments sam
     segments = problem.segments
     first = segments.values.copy()
     for s in range(segments.count):
-        first[s, _warm(int(segments.observed[s].any(1).sum())) :] = np.nan
+        first[s, _warm(int(segments.lengths[s])) :] = np.nan
     lin = fit_starts(replace(problem, segments=replace(segments, values=first)), z)
     start = problem.guess.start if lin is None else lin.point.start
     return problem.simulator.rollout(problem.request(z[None], start))

@@ -55,4 +55,3 @@ def relative_error(fit: Fit) -> float:
         spread = np.nanstd(fit.problem.segments.values, axis=(0, 1))
     signal = spread > 5 * fit.problem.noise  # a column that hardly moves says nothing about the horizon
     return float(np.max(rms[signal] / spread[signal], initial=0.0))
-

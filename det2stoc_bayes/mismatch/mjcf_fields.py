@@ -85,15 +85,11 @@ def mjcf_text(path: Path, root: Path, wanted: mujoco.MjModel) -> tuple[str, mujo
     spec = _spec(path, root)
     changed = differences(wanted, spec.compile())
     for body in _explicit(wanted, changed):
-        spec.adopt_inertial(
-            spec.body(wanted.body(body).name) if wanted.body(body).name else _by_id(spec, body)
-        )
+        spec.adopt_inertial(spec.body(wanted.body(body).name) if wanted.body(body).name else _by_id(spec, body))
     if "opt.integrator" in changed:
         spec.option.integrator = wanted.opt.integrator
     with _all_digits():
-        text = _written(
-            spec.to_xml(), root, wanted, [p for f, where in changed.items() for p in _places(f, where)]
-        )
+        text = _written(spec.to_xml(), root, wanted, [p for f, where in changed.items() for p in _places(f, where)])
     return _shortest(text), _load(_shortest(text), root).compile()
 
 
@@ -164,9 +160,7 @@ def _spec(path: Path, root: Path) -> mujoco.MjSpec:
 
         def moved(name: str, directory: str = directory) -> str:
             kept = Path(name).name if spec.strippath else name
-            return os.path.relpath((path.parent / directory / kept).resolve(), root.resolve()).replace(
-                os.sep, "/"
-            )
+            return os.path.relpath((path.parent / directory / kept).resolve(), root.resolve()).replace(os.sep, "/")
 
         if item.file:
             item.file = moved(item.file)

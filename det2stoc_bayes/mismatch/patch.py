@@ -7,11 +7,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from det2stoc_bayes.engines.model_names import compile_model
 from det2stoc_bayes.errors import ModelError
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 from det2stoc_bayes.mismatch.effects_module import FieldWrite, Values, hooks_of, module_text, parameter_texts
 from det2stoc_bayes.mismatch.mjcf_fields import asset_files, differences, mjcf_text, read_field, write_field
-from det2stoc_bayes.model_names import compile_model
 from det2stoc_bayes.simulator import address
 from det2stoc_bayes.study import Study
 from det2stoc_bayes.suggestions import choices
@@ -96,9 +96,7 @@ def wanted_model(
     names = [p.name for p in study.parameters]
     for name in sorted(set(names) ^ set(psi)):
         found = "no value" if name in names else "no such parameter"
-        raise ModelError(
-            f"patched.xml: psi.{name}: {found}; a value for each is needed; {choices(name, names, 20)}"
-        )
+        raise ModelError(f"patched.xml: psi.{name}: {found}; a value for each is needed; {choices(name, names, 20)}")
     for parameter in study.parameters:
         where = address(model, parameter.target, parameter.index)
         values = np.array(read_field(model, where.field), dtype=float)
@@ -120,9 +118,7 @@ def wanted_model(
 def _write_effect(model: mujoco.MjModel, placed: PlacedEffect, given: Values) -> None:
     """Fields as an effect changes them; its hook has the simulations' axis first."""
     if placed.effect.changes:
-        fields = {
-            name: np.array(read_field(model, name), dtype=float)[None] for name in placed.effect.changes
-        }
+        fields = {name: np.array(read_field(model, name), dtype=float)[None] for name in placed.effect.changes}
         parameters = {name: np.asarray(value, dtype=float)[None] for name, value in given.items()}
         for name, value in placed.effect.fields(parameters, fields, placed.element, np).items():
             write_field(model, name, value[0])

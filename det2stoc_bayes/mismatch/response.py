@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
-from det2stoc_bayes.layout import integrate_positions, position_difference
+from det2stoc_bayes.engines.layout import integrate_positions, position_difference
 from det2stoc_bayes.mismatch.effects.base import JointState, PlacedEffect
 from det2stoc_bayes.optimize import START_STEP, Fit
 from det2stoc_bayes.problem import merge_requests
@@ -33,8 +33,10 @@ class Response:
         path = self.problem.simulator.engine.trajectory(request)
         self.real = np.diff(segments.time, axis=1) > 0  # intervals that are not padding
         self.shape = self.real.shape
-        self.pieces = [(int(segments.recording[s]), int(segments.first[s]) + k, int(segments.first[s]) + k + 2)
-                       for s, k in np.argwhere(self.real)]
+        self.pieces = [
+            (int(segments.recording[s]), int(segments.first[s]) + k, int(segments.first[s]) + k + 2)
+            for s, k in np.argwhere(self.real)
+        ]
         self.intervals = from_pieces(segments.recordings, self.pieces, segments.columns)
         s, k = np.nonzero(self.real)
         self.begin = Start(path.qpos[s, k], path.qvel[s, k], path.act[s, k])
@@ -45,8 +47,10 @@ class Response:
         problem = replace(self.problem, segments=self.intervals)
         request = problem.request(self.point.z[None], start)
         rows = slice(0, len(self.pieces))
-        added = tuple(EffectRows(p, rows, {n: np.full(len(self.pieces), float(v)) for n, v in values.items()})
-                      for p, values in extra)
+        added = tuple(
+            EffectRows(p, rows, {n: np.full(len(self.pieces), float(v)) for n, v in values.items()})
+            for p, values in extra
+        )
         return replace(request, effects=(*request.effects, *added))
 
     def _run(self, requests: Sequence[Request], origin=None):
@@ -57,8 +61,14 @@ class Response:
         ends = [x[:, -1] for x in (path.qpos, path.qvel, path.act)]
         origin = [x[:count] for x in ends] if origin is None else origin
         tiled = [np.tile(x, (len(requests), 1)) for x in origin]
-        state = np.concatenate([position_difference(model, tiled[0], ends[0]), ends[1] - tiled[1], ends[2] - tiled[2]], 1)
-        return state.reshape(len(requests), count, -1), path.columns[:, -1].reshape(len(requests), count, -1), origin
+        state = np.concatenate(
+            [position_difference(model, tiled[0], ends[0]), ends[1] - tiled[1], ends[2] - tiled[2]], 1
+        )
+        return (
+            state.reshape(len(requests), count, -1),
+            path.columns[:, -1].reshape(len(requests), count, -1),
+            origin,
+        )
 
     def _linearize(self) -> None:
         problem, model = self.problem, self.problem.simulator.model
@@ -78,8 +88,11 @@ class Response:
 
     def _moved(self, change: np.ndarray) -> Start:
         nv, model = self.problem.simulator.model.nv, self.problem.simulator.model
-        return Start(integrate_positions(model, self.begin.qpos, change[:, :nv]),
-                     self.begin.qvel + change[:, nv : 2 * nv], self.begin.act + change[:, 2 * nv :])
+        return Start(
+            integrate_positions(model, self.begin.qpos, change[:, :nv]),
+            self.begin.qvel + change[:, nv : 2 * nv],
+            self.begin.act + change[:, 2 * nv :],
+        )
 
     def _spread(self, values: np.ndarray) -> np.ndarray:
         """Values of the real intervals laid out as (S, K, ...), zero in the padding."""
@@ -90,8 +103,10 @@ class Response:
     def defects(self, trials: Sequence[tuple[PlacedEffect, dict[str, float]]]) -> tuple[np.ndarray, np.ndarray]:
         """d (S, K, m, columns) and e (S, K, y, columns) of effects by simulating each interval with the effect on."""
         state, column, _ = self._run([self._request(self.begin, [t]) for t in trials], self._origin)
-        return (self._spread(np.moveaxis(state, 0, -1)),
-                self._spread(np.moveaxis(column - self._column, 0, -1)))
+        return (
+            self._spread(np.moveaxis(state, 0, -1)),
+            self._spread(np.moveaxis(column - self._column, 0, -1)),
+        )
 
     def forced(self, dof: int, forces: Float[np.ndarray, "S K columns"]) -> tuple[np.ndarray, np.ndarray]:
         """d and e of generalized forces on one degree of freedom, held over each interval."""
@@ -103,7 +118,7 @@ class Response:
             self._forces = {}
         if dof not in self._forces:
             probe = _unit_force(dof)
-            step = FORCE_STEP * self.problem.guess.scale[self.problem.simulator.model.nv + dof]
+            step = FORCE_STEP * float(self.problem.guess.scale[self.problem.simulator.model.nv + dof])
             d, e = self.defects([(probe, {"force": step})])
             self._forces[dof] = d[..., 0] / step, e[..., 0] / step
         return self._forces[dof]
@@ -115,8 +130,12 @@ class Response:
         h = np.diff(time, axis=1)[..., None]
         u = (np.arange(NUM_INSIDE) + 0.5) / NUM_INSIDE
         q0, q1, v0, v1 = q[:, :-1, None], q[:, 1:, None], v[:, :-1, None], v[:, 1:, None]
-        inside = ((1 + 2 * u) * (1 - u) ** 2 * q0 + u * (1 - u) ** 2 * h * v0
-                  + u**2 * (3 - 2 * u) * q1 + u**2 * (u - 1) * h * v1)
+        inside = (
+            (1 + 2 * u) * (1 - u) ** 2 * q0
+            + u * (1 - u) ** 2 * h * v0
+            + u**2 * (3 - 2 * u) * q1
+            + u**2 * (u - 1) * h * v1
+        )
         return JointState(inside, v0 + u * (v1 - v0), time[:, :-1, None] + u * h)
 
     def propagate(self, d: np.ndarray, e: np.ndarray) -> Float[np.ndarray, "S values columns"]:

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from det2stoc_bayes.mismatch.explain import Slot
+from det2stoc_bayes.mismatch.explain import Ranked, Slot
 from det2stoc_bayes.mismatch.finding import variable_name
 from det2stoc_bayes.mismatch.heldout import HeldOut
 from det2stoc_bayes.mismatch.where import Condition
@@ -30,7 +30,12 @@ def _variable(name: str) -> str:
 
 
 def rollouts(
-    fit: Fit, before: HeldOut, after: HeldOut, recordings: tuple[Recording, ...], role: str, when: list[Condition]
+    fit: Fit,
+    before: HeldOut,
+    after: HeldOut,
+    recordings: tuple[Recording, ...],
+    role: str,
+    when: list[Condition],
 ) -> dict[str, xr.Dataset]:
     """One dataset a recording: observed, predicted before and after, whitened residuals, where the condition holds."""
     columns, noise = fit.problem.segments.columns, fit.problem.noise
@@ -43,7 +48,7 @@ def rollouts(
         paths = {"before": before.rollouts[r.name], "after": after.rollouts[r.name]}
         data = {"observed": observed[seen]} | paths
         data |= {f"residual_{k}": (observed[seen] - v) / noise for k, v in paths.items()}
-        variables = {k: (("sample", "channel"), v) for k, v in data.items()}
+        variables: dict[str, tuple] = {k: (("sample", "channel"), v) for k, v in data.items()}
         held = _holds(r, when)
         if held is not None:
             variables["condition"] = (("sample",), held[seen])
@@ -61,20 +66,21 @@ def _holds(recording: Recording, when: list[Condition]) -> np.ndarray | None:
     return None
 
 
-def screening(slot: Slot, probability: dict[str, float], explains: dict[str, float]) -> xr.Dataset:
+def screening(slot: Slot, probability: dict[str, float]) -> xr.Dataset:
     """Every candidate of the first slot with its evidence; refined ones with the refined figure."""
     refined = {r.placed.label: r for r in slot.ranked}
     rows = []
     for s in slot.screened:
-        label, r = s.placed.label, refined.get(s.placed.label)
-        size = "" if r is None else ", ".join(
-            f"{p.name} {float(r.fit.problem.effect_values(r.fit.point.z[None])[-1][p.name][0]):.3g}"
-            for p in s.placed.effect.parameters)
-        rows.append((s.placed.effect.name, s.placed.element.kind, s.placed.element.name,
-                     s.log_evidence if r is None else r.gain, probability.get(label, 0.0),
-                     explains.get(label, np.nan), size))
+        effect, at, r = s.placed.effect, s.placed.element, refined.get(s.placed.label)
+        gain, chance = s.log_evidence if r is None else r.gain, probability.get(s.placed.label, 0.0)
+        rows.append((effect.name, at.kind, at.name, gain, chance, "" if r is None else _size(r)))
     rows.sort(key=lambda row: -row[3])
-    names = ("name", "kind", "element", "log_evidence", "probability", "explains", "size")
+    names = ("name", "kind", "element", "log_evidence", "probability", "size")
     return xr.Dataset({n: (("candidate",), list(v)) for n, v in zip(names, zip(*rows, strict=True), strict=True)})
 
 
+def _size(ranked: Ranked) -> str:
+    """Refined parameter values, as `amplitude 0.1, cycles 6`."""
+    problem = ranked.fit.problem
+    values = problem.effect_values(ranked.fit.point.z[None])[-1]
+    return ", ".join(f"{name} {float(value[0]):.3g}" for name, value in values.items())

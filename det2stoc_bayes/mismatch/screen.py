@@ -28,7 +28,9 @@ class Screened:
     change: Float[np.ndarray, " size"]  # of the current unknowns, when the trial is added
 
 
-def screen(fit: Fit, candidates: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda n: None) -> list[Screened]:
+def screen(
+    fit: Fit, candidates: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda n: None
+) -> list[Screened]:
     """Every candidate's best trial, best first. Trials whose simulation diverges are passed over.
 
     With the fit's own columns beside a trial's, an effect that psi can absorb earns nothing.
@@ -58,8 +60,13 @@ def _columns(fit: Fit, candidates, advance) -> Iterator[tuple[PlacedEffect, Tria
                 some = flat[begin : begin + MAX_COLUMNS]
                 if effect.uses("joint_force"):
                     inside = response.joint_states(at.qpos, at.dof)
-                    force = np.stack([effect.joint_force({n: np.asarray(v) for n, v in t.items()}, inside, np).mean(-1)
-                                      for t in some], -1)
+                    force = np.stack(
+                        [
+                            effect.joint_force({n: np.asarray(v) for n, v in t.items()}, inside, np).mean(-1)
+                            for t in some
+                        ],
+                        -1,
+                    )
                     parts.append(response.propagate(*response.forced(at.dof, force)))
                 else:
                     parts.append(response.propagate(*response.defects([(placed, t) for t in some])))
@@ -107,7 +114,9 @@ def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray) ->
         return Screened(placed, trial, -0.69, 0.0, np.zeros(k), np.zeros(d))
     n = lin.degrees_of_freedom
     penalty = float((prior[d:] * step[d:] ** 2).sum()) + float(((lin.point.z + step[:d]) ** 2 - lin.point.z**2).sum())
-    occam = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(np.linalg.inv(fit.covariance))[1] - np.log(prior[d:]).sum()
+    occam = (
+        np.linalg.slogdet(precision)[1] - np.linalg.slogdet(np.linalg.inv(fit.covariance))[1] - np.log(prior[d:]).sum()
+    )
     log_evidence = profile(fit.chi2, fit.noise_scale, n) - profile(chi2, s2, n) - 0.5 * penalty - 0.5 * float(occam)
     return Screened(placed, trial, float(log_evidence), fit.chi2 - chi2, step[d:], step[:d])
 

@@ -1,6 +1,6 @@
 """Sentences and numbers of a finding, from fits and classes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -37,7 +37,9 @@ def quantity(values: Float[np.ndarray, " draws"], unit: str, *, circular: bool =
         centre = np.angle(np.exp(1j * values).mean())
         values = centre + np.angle(np.exp(1j * (values - centre)))
     low, high = np.percentile(values, INTERVAL)
-    return finding.Quantity(mean=float(values.mean()), sd=float(values.std()), interval=[float(low), float(high)], unit=unit)
+    return finding.Quantity(
+        mean=float(values.mean()), sd=float(values.std()), interval=(float(low), float(high)), unit=unit
+    )
 
 
 def parameters(fit: Fit, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Quantity]:
@@ -77,9 +79,13 @@ def element(placed: PlacedEffect) -> finding.Element:
     return finding.Element(kind=placed.element.kind, name=placed.element.name)
 
 
-def alternatives(rest: list[Class], limit: int = 5) -> list[finding.Alternative]:
+def alternatives(rest: Sequence[Class], limit: int = 5) -> list[finding.Alternative]:
     """The other classes by their simplest member."""
     return [
-        finding.Alternative(name=c.members[0].placed.effect.name, element=element(c.members[0].placed), probability=c.probability)
+        finding.Alternative(
+            name=c.members[0].placed.effect.name,
+            element=element(c.members[0].placed),
+            probability=c.probability,
+        )
         for c in rest[:limit]
     ]

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from det2stoc_bayes.layout import joint_elements
+from det2stoc_bayes.engines.layout import joint_elements
 from det2stoc_bayes.mismatch.response import Response
 from det2stoc_bayes.optimize import Fit
 
@@ -34,8 +34,7 @@ def action(after: Fit, slot: int) -> tuple[np.ndarray, Response]:
     values = {n: float(v[0]) for n, v in after.problem.effect_values(after.point.z[None])[slot].items()}
     begin = after.problem.num_psi + sum(e.size for e in after.problem.effects[:slot])
     z = np.delete(after.point.z, np.arange(begin, begin + placed.size))
-    linear = replace(after.linear, problem=after.problem.with_effects(without),
-                     point=replace(after.point, z=z))
+    linear = replace(after.linear, problem=after.problem.with_effects(without), point=replace(after.point, z=z))
     response = Response(replace(after, linear=linear))
     d, e = response.defects([(placed, values)])
     nv = after.problem.simulator.model.nv
@@ -76,7 +75,11 @@ def _variables(response: Response) -> dict[str, np.ndarray]:
         out[f"qpos/{joint.name}"] = response.path.qpos[:, :-1, joint.qpos]
     for a in range(model.nu):
         if model.actuator(a).name:
-            held = np.stack([np.interp(t, segments.recordings[r].time, segments.recordings[r].ctrl[:, a])
-                             for t, r in zip(segments.time, segments.recording, strict=True)])
+            held = np.stack(
+                [
+                    np.interp(t, segments.recordings[r].time, segments.recordings[r].ctrl[:, a])
+                    for t, r in zip(segments.time, segments.recording, strict=True)
+                ]
+            )
             out[f"ctrl/{model.actuator(a).name}"] = held[:, :-1]
     return out

@@ -62,15 +62,10 @@ def improvement(fit: Mapping[str, Any], units: Mapping[str, str]) -> list[dict[s
             {
                 "channel": channel,
                 "unit": units.get(channel, ""),
-                **{
-                    which: numbers.number(v)
-                    for which, v in (("before", value), ("after", now), ("noise", limit))
-                },
+                **{which: numbers.number(v) for which, v in (("before", value), ("after", now), ("noise", limit))},
                 "bars": [100 * (v or 0.0) / largest for v in (value, now, limit)],
                 "ratio": (value or 0.0) / limit if limit else 0.0,
-                "fall": numbers.percent(1 - now / value)
-                if value and now is not None and now <= value
-                else None,
+                "fall": numbers.percent(1 - now / value) if value and now is not None and now <= value else None,
             }
         )
     return sorted(rows, key=lambda row: -row["ratio"])

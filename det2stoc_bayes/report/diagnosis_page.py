@@ -121,15 +121,9 @@ def _distribution(rollouts: Mapping[str, xr.Dataset], names: Mapping[str, str]) 
     return {
         "held_out": bool(held_out),
         "samples": f"{residuals['before'].size:,}",
-        "rms": {
-            which: numbers.number(float(np.sqrt(np.mean(v**2))), 3)
-            for which, v in residuals.items()
-            if v.size
-        },
+        "rms": {which: numbers.number(float(np.sqrt(np.mean(v**2))), 3) for which, v in residuals.items() if v.size},
         "beyond": {
-            which: numbers.percent(float(np.mean(np.abs(v) > 2)), 1)
-            for which, v in residuals.items()
-            if v.size
+            which: numbers.percent(float(np.mean(np.abs(v) > 2)), 1) for which, v in residuals.items() if v.size
         },
         "histogram": page.embedded(figures.histogram_figure(residuals, names)),
         "quantiles": page.embedded(figures.quantile_figure(residuals, names)),
@@ -146,12 +140,8 @@ def _posterior(finding: Mapping[str, Any], fit: xr.DataTree, names: dict[str, st
     rows = []
     for one in psi:
         conflict = finding["psi"].get(one.variable, {}).get("prior_conflict")
-        conflict = (
-            conflict if isinstance(conflict, float | int) else min(filter(None, conflict or []), default=None)
-        )
-        rows.append(
-            _marginal(one, names) | {"conflict": numbers.number(conflict, 2), "odd": (conflict or 1) < 0.05}
-        )
+        conflict = conflict if isinstance(conflict, float | int) else min(filter(None, conflict or []), default=None)
+        rows.append(_marginal(one, names) | {"conflict": numbers.number(conflict, 2), "odd": (conflict or 1) < 0.05})
     return {"psi": rows, "effect_parameters": [_marginal(one, names) for one in effects], "varying": spread}
 
 
@@ -193,8 +183,7 @@ def _effect(effect: Mapping[str, Any]) -> dict[str, Any]:
 def _negligible(finding: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [
         {
-            "statement": one.get("statement")
-            or f"{contents.words(one['name'])} at {contents.place(one['element'])}",
+            "statement": one.get("statement") or f"{contents.words(one['name'])} at {contents.place(one['element'])}",
             "explains": numbers.percent(one.get("explains")),
         }
         for one in finding.get("negligible") or []

@@ -10,9 +10,7 @@ from det2stoc_bayes.report import canvas, series
 from det2stoc_bayes.report.canvas import Spec, line
 
 
-def rollout_figure(
-    rollout: xr.Dataset, channels: Sequence[str], names: Mapping[str, str], points: int
-) -> Spec:
+def rollout_figure(rollout: xr.Dataset, channels: Sequence[str], names: Mapping[str, str], points: int) -> Spec:
     """Recorded and predicted channels over time, one panel each, with two noise sds around the recording."""
     time = rollout["time"].values
     stretches = _stretches(rollout)
@@ -39,9 +37,7 @@ def rollout_figure(
     return {"data": traces, "layout": canvas.panels(titles, "time [s]", axes)}
 
 
-def residual_figure(
-    rollout: xr.Dataset, channels: Sequence[str], names: Mapping[str, str], points: int
-) -> Spec:
+def residual_figure(rollout: xr.Dataset, channels: Sequence[str], names: Mapping[str, str], points: int) -> Spec:
     """Whitened residuals over time on an asinh scale, so that 1 and 100 noise sds both can be read."""
     time = rollout["time"].values
     stretches = _stretches(rollout)

@@ -74,9 +74,7 @@ def marginals(fit: xr.DataTree) -> tuple[list[Marginal], list[Marginal]]:
 def density_figure(marginal: Marginal, names: dict[str, str]) -> Spec:
     """Densities of one scalar before and after, and of its prior where the fit holds it."""
     every = {"prior": marginal.prior, "before": marginal.before, "after": marginal.after}
-    shown = {
-        which: draws for which, draws in every.items() if draws is not None and which in ("prior", *names)
-    }
+    shown = {which: draws for which, draws in every.items() if draws is not None and which in ("prior", *names)}
     curves = {which: _density(draws) for which, draws in shown.items()}
     traces = []
     for which, (x, height) in curves.items():

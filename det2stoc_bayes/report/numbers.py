@@ -39,9 +39,7 @@ def plus_minus(mean: Value, sd: Value) -> str:
         return f"{_fixed(mean, decimals)} ± {_fixed(spread, decimals)}"
     scale = 10.0**largest
     decimals = max(_decimals(spread / scale), 0)
-    return (
-        f"({_fixed(mean / scale, decimals)} ± {_fixed(spread / scale, decimals)}) × {power_of_ten(largest)}"
-    )
+    return f"({_fixed(mean / scale, decimals)} ± {_fixed(spread / scale, decimals)}) × {power_of_ten(largest)}"
 
 
 def interval(bounds: Sequence | None) -> str:

@@ -61,9 +61,7 @@ def selection(rollouts: dict[str, xr.Dataset]) -> tuple[list[str], int]:
     points = int(BUDGET_BYTES / (TRACE_BYTES * max(total, 1)))
     if points >= MIN_POINTS:
         return list(rollouts), min(points, MAX_POINTS)
-    ranked = sorted(
-        rollouts, key=lambda stem: (rollouts[stem].attrs.get("role") != "holdout", -misfit(rollouts[stem]))
-    )
+    ranked = sorted(rollouts, key=lambda stem: (rollouts[stem].attrs.get("role") != "holdout", -misfit(rollouts[stem])))
     kept, used = [], 0.0
     for stem in ranked:
         used += traces[stem] * MIN_POINTS * TRACE_BYTES

@@ -27,7 +27,7 @@ def summarize(fit: xr.DataTree) -> list[Row]:
     """Every variable of the posterior group; further dimensions as `friction[drop_03]`."""
     times = _autocorrelation_times(fit)
     rows = []
-    for name, data in fit["posterior"].to_dataset().data_vars.items():
+    for name, data in fit.children["posterior"].to_dataset().data_vars.items():
         data = data.transpose("chain", "draw", ...)
         for index in np.ndindex(data.shape[2:]):
             labels = [str(data[d].values[i]) for d, i in zip(data.dims[2:], index, strict=True)]
@@ -48,10 +48,10 @@ def _row(name: str, draws: np.ndarray, kept_per_time: float | None) -> Row:
 
 def _autocorrelation_times(fit: xr.DataTree) -> dict[str, float]:
     """Variable -> steps between kept draws over the autocorrelation time, for samplers that report one."""
-    stats = fit["sample_stats"].to_dataset()
+    stats = fit.children["sample_stats"].to_dataset()
     if "autocorrelation_time" not in stats:
         return {}
-    names = [str(n) for n in fit["unconstrained_posterior"]["unknown"].values]
+    names = [str(n) for n in fit.children["unconstrained_posterior"].to_dataset()["unknown"].values]
     step = float(stats["thinned_by"]) if "thinned_by" in stats else 1.0
     times = stats["autocorrelation_time"].values
     return {n: step / float(t) for n, t in zip(names, times, strict=True) if math.isfinite(t) and t > 0}

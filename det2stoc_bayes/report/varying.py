@@ -33,9 +33,7 @@ def _forest(draws: dict[str, xr.DataArray], names: dict[str, str]) -> Spec:
     traces = [_intervals(data, which, names[which]) for which, data in draws.items()]
     x = canvas.axis(str(first.attrs.get("unit", "")))
     y = canvas.axis(tickvals=rows, ticktext=labels, range=[len(labels) - 0.5, -0.5], automargin=True)
-    shape = canvas.layout(
-        canvas.TOP + canvas.BOTTOM + 26 * len(labels), xaxis=x, yaxis=y, hovermode="closest"
-    )
+    shape = canvas.layout(canvas.TOP + canvas.BOTTOM + 26 * len(labels), xaxis=x, yaxis=y, hovermode="closest")
     return {"data": traces, "layout": shape}
 
 

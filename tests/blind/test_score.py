@@ -111,9 +111,7 @@ def test_demo_reports_a_failed_diagnosis(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         demo, "make_case", lambda seed, **_: make_case(seed, control=True, num_recordings=1, num_samples=40)
     )
-    monkeypatch.setattr(
-        demo.subprocess, "run", lambda command, check: subprocess.CompletedProcess(command, 3)
-    )
+    monkeypatch.setattr(demo.subprocess, "run", lambda command, check: subprocess.CompletedProcess(command, 3))
     assert demo.main(["--seed", "9", "--out", str(tmp_path)]) == 3
     assert "ended with code 3" in capsys.readouterr().out
     assert (tmp_path / "demo-9" / "study" / "study.toml").is_file()

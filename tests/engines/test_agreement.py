@@ -20,9 +20,9 @@ from conftest import (
 )
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
+from det2stoc_bayes.engines.layout import actuator_elements, body_elements, joint_elements, sensor_elements
 from det2stoc_bayes.engines.mjx import Mjx
 from det2stoc_bayes.engines.mujoco_c import MujocoC
-from det2stoc_bayes.layout import actuator_elements, body_elements, joint_elements, sensor_elements
 from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect, Typical
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.segments import cut
@@ -43,8 +43,7 @@ def agree(model, fields, effects_c=(), effects_mjx=None, num_sims=2, seed=0, tol
         np.zeros((num_sims, model.na)),
     )
     request = [
-        Request(segments, np.zeros(num_sims, int), start, fields, e)
-        for e in (effects_c, effects_mjx or effects_c)
+        Request(segments, np.zeros(num_sims, int), start, fields, e) for e in (effects_c, effects_mjx or effects_c)
     ]
     c, mjx = MujocoC(model).rollout(request[0]), Mjx(model).rollout(request[1])
     scale = np.abs(c).max((0, 1)) + 1e-3
@@ -159,9 +158,7 @@ def test_same_motion_with_every_effect_and_derived_constant(compiled):
         alone.append(EffectRows(placed, slice(k, k + 1), {n: np.array([v]) for n, v in values.items()}))
         absent = {p.name: p.absent for p in placed.effect.parameters}
         present = [values if row == k else absent for row in range(rows)]
-        together.append(
-            EffectRows(placed, slice(0, rows), {n: np.array([v[n] for v in present]) for n in values})
-        )
+        together.append(EffectRows(placed, slice(0, rows), {n: np.array([v[n] for v in present]) for n in values}))
     columns = [*state_columns(model), "sensor/flow/0", "sensor/flow/2", "sensor/effort"]
     c = agree(model, fields, tuple(alone), tuple(together), rows, columns=columns)
     assert (np.abs(c[:-1] - c[-1]).max((1, 2)) > 1e-3).all()
@@ -183,8 +180,7 @@ prior = { Normal = { loc = -9.8, scale = 0.1 } }
     xml = model_xml(ARM, MOTORS)
     time = np.arange(26) * 0.01
     series = {
-        c: 0.3 + 0.1 * np.sin(5 * time + i)
-        for i, c in enumerate(state_columns(mujoco.MjModel.from_xml_string(xml)))
+        c: 0.3 + 0.1 * np.sin(5 * time + i) for i, c in enumerate(state_columns(mujoco.MjModel.from_xml_string(xml)))
     }
     series |= {"ctrl/turn": np.sin(9 * time), "ctrl/servo": 0.5 * np.cos(7 * time)}
     study = make_study(tmp_path / "s", xml, toml, {"one": (time, series)})
@@ -192,9 +188,7 @@ prior = { Normal = { loc = -9.8, scale = 0.1 } }
     chosen = ("quadratic_damping", "quadratic_drag", "actuator_delay", "sensor_bias")
     effects = [p for p, _ in placed_effects(c.model) if p.effect.name in chosen]
     values = [
-        np.asarray(p.effect.to_normal(v, p.typical))
-        for p, v in placed_effects(c.model)
-        if p.effect.name in chosen
+        np.asarray(p.effect.to_normal(v, p.typical)) for p, v in placed_effects(c.model) if p.effect.name in chosen
     ]
     problem, other = (make_problem(s, num_samples=13).with_effects(effects) for s in (c, mjx))
     z = np.concatenate([[0.3, 0.5, -0.2], *values])
@@ -229,10 +223,7 @@ def test_derivatives_of_a_body_at_rest_are_finite(tmp_path):
         {
             "one": (
                 np.arange(4) * 0.004,
-                {
-                    f"qpos/float/{p}": np.full(4, v)
-                    for p, v in {"z": 2, "qw": 1, "qx": 0, "qy": 0, "qz": 0}.items()
-                },
+                {f"qpos/float/{p}": np.full(4, v) for p, v in {"z": 2, "qw": 1, "qx": 0, "qy": 0, "qz": 0}.items()},
             )
         },
     )

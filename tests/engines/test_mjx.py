@@ -11,11 +11,11 @@ from conftest import ARM, HINGE, MOTORS, SLIDE, blank_recording
 
 from det2stoc_bayes.engines import mjx as module
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
+from det2stoc_bayes.engines.layout import joint_elements
 from det2stoc_bayes.engines.mjx import Mjx
 from det2stoc_bayes.engines.mjx_support import check_effect, check_fields, check_supported
 from det2stoc_bayes.engines.mujoco_c import MujocoC
 from det2stoc_bayes.errors import EngineError
-from det2stoc_bayes.layout import joint_elements
 from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect, Typical
 from det2stoc_bayes.segments import cut
 
@@ -105,9 +105,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("bodies", "rest", "option", "words"), REFUSED, ids=[" ".join(r[3]) for r in REFUSED]
-)
+@pytest.mark.parametrize(("bodies", "rest", "option", "words"), REFUSED, ids=[" ".join(r[3]) for r in REFUSED])
 def test_refuses_what_it_would_drop(compiled, bodies, rest, option, words):
     model = compiled(bodies, rest, option=option)
     with pytest.raises(EngineError) as caught:
@@ -147,9 +145,7 @@ def test_rows_with_their_own_effects_in_chunks(compiled, monkeypatch):
     model, rng = compiled(SLIDE), np.random.default_rng(0)
     monkeypatch.setattr(module, "MAX_CHUNK", {"cpu": 4})
     element = joint_elements(model)[0]
-    push, spring = (
-        PlacedEffect(CATALOGUE[n], element, Typical()) for n in ("constant_force", "cubic_stiffness")
-    )
+    push, spring = (PlacedEffect(CATALOGUE[n], element, Typical()) for n in ("constant_force", "cubic_stiffness"))
     effects = [
         EffectRows(push, slice(0, 5), {"force": rng.standard_normal(5)}),
         EffectRows(spring, slice(3, 7), {"stiffness": 50 * rng.random(4)}),

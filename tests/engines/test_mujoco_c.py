@@ -84,9 +84,7 @@ def test_damping_decays_exponentially(compiled):
 def test_frictionloss_decelerates_evenly_and_stops(compiled):
     model = compiled(BALL.format("run", "1 0 0"), option='<option timestep="0.001" gravity="0 0 0"/>')
     time = np.linspace(0, 2, 41)
-    out = MujocoC(model).rollout(request(model, time, [0.0], [1.0], {"dof_frictionloss": np.array([[2.0]])}))[
-        0
-    ]
+    out = MujocoC(model).rollout(request(model, time, [0.0], [1.0], {"dof_frictionloss": np.array([[2.0]])}))[0]
     np.testing.assert_allclose(out[:, 1], np.clip(1 - time, 0, None), atol=5e-3)
     assert np.ptp(out[time > 1.1, 0]) < 1e-3
 
@@ -116,9 +114,7 @@ def test_a_diverging_simulation_is_alone_and_silent(compiled, capfd, monkeypatch
     model = compiled(CARTPOLE)
     effects = ()
     if held:
-        placed = PlacedEffect(
-            CATALOGUE["constant_force"], Element("joint", "rail", False, 0, 0, 1), Typical()
-        )
+        placed = PlacedEffect(CATALOGUE["constant_force"], Element("joint", "rail", False, 0, 0, 1), Typical())
         effects = (EffectRows(placed, slice(0, 3), {"force": np.zeros(3)}),)
     damping = np.array([[0.2, 0.01], [-1e6, -1e6], [0.2, 0.01]])
     asked = request(
@@ -150,7 +146,7 @@ def test_known_fields_act_on_their_recording_alone(tmp_path):
     series = {"qpos/slide": np.zeros(6), "qvel/slide": np.zeros(6)}
     toml = '[psi.damping]\ntarget = "joint/slide/damping"\nprior = { HalfNormal = { scale = 0.3 } }\n'
     toml += '[known.b]\n"body/block/mass" = 4.0\n'
-    study = make_study(tmp_path / "s", model_xml(SLIDE), toml, {k: (time, series) for k in "abc"})
+    study = make_study(tmp_path / "s", model_xml(SLIDE), toml, dict.fromkeys("abc", (time, series)))
     simulator = Simulator(study)
     fields = simulator.fields(np.array([[0.1], [0.2], [0.3]]), ["a", "b", "c"])
     np.testing.assert_array_equal(fields["body_mass"], [[0, 1.3], [0, 4.0], [0, 1.3]])
@@ -243,9 +239,7 @@ def test_friction_follows_a_changed_mass():
 def test_sensors_describe_the_state_before_the_step(compiled):
     model = compiled(HINGE, '<sensor><jointvel name="speed" joint="hinge"/></sensor>')
     time = np.arange(5) * 0.002
-    out = MujocoC(model).rollout(request(model, time, [0.4], [-1.0], columns=["qvel/hinge", "sensor/speed"]))[
-        0
-    ]
+    out = MujocoC(model).rollout(request(model, time, [0.4], [-1.0], columns=["qvel/hinge", "sensor/speed"]))[0]
     np.testing.assert_array_equal(out[:-1, 0], out[:-1, 1])
 
 

@@ -77,9 +77,7 @@ def test_expansion_gradient_is_exact_for_a_linear_model(density, points):
 def test_gradients_with_mjx(density_mjx, points):
     value, gradient = density_mjx.value_and_grad(points)
     np.testing.assert_allclose(value, density_mjx.log_density(points), rtol=1e-9)
-    np.testing.assert_allclose(
-        gradient[0], numeric_gradient(density_mjx.log_density, points[0]), rtol=1e-6, atol=1e-6
-    )
+    np.testing.assert_allclose(gradient[0], numeric_gradient(density_mjx.log_density, points[0]), rtol=1e-6, atol=1e-6)
 
 
 def test_engines_agree(density, density_mjx, points):
@@ -138,9 +136,7 @@ def test_mode_is_the_closed_form(density, gaussian_problem):
 def test_expansion_knows_the_bend(density):
     """Second derivatives of a function that has some: squares of what the model predicts."""
     bent = replace(density)
-    object.__setattr__(
-        bent, "projected", lambda z: np.stack([z[:, 0] ** 2, z[:, 0] * z[:, 1], z[:, 1]])[None]
-    )
+    object.__setattr__(bent, "projected", lambda z: np.stack([z[:, 0] ** 2, z[:, 0] * z[:, 1], z[:, 1]])[None])
     mode = expand(bent, np.array([1.0, 2.0]), np.eye(2))
     np.testing.assert_allclose(mode.slope, [[2, 0], [2, 1], [0, 1]], atol=1e-9)
     np.testing.assert_allclose(mode.curvature, [[2, 0, 0, 0], [0, 1, 1, 0], [0, 0, 0, 0]], atol=1e-9)

@@ -109,9 +109,7 @@ def placed(effect, simulator, columns):
 
 def rollout(simulator, segments, start, effects, **options):
     """The engine's samples."""
-    rows = tuple(
-        EffectRows(p, slice(0, 1), {n: np.array([v]) for n, v in values.items()}) for p, values in effects
-    )
+    rows = tuple(EffectRows(p, slice(0, 1), {n: np.array([v]) for n, v in values.items()}) for p, values in effects)
     fields = simulator.fields(simulator.believed[None], ["blank"])
     return simulator.rollout(Request(segments, np.zeros(1, int), start, fields, rows, **options))[0]
 
@@ -135,18 +133,12 @@ def check_reproduced(tmp_path, effects, integrator, first=0, **options):
     """Texts and engine move alike, and the effects matter."""
     study, simulator, recording, start = setting(tmp_path, integrator)
     segments = cut([recording])
-    listed = [
-        (e if isinstance(e, PlacedEffect) else placed(e, simulator, segments.columns), v) for e, v in effects
-    ]
-    fitted = rollout(
-        simulator, segments, start, [x for x in listed if x[0].element.kind != "simulator"], **options
-    )
+    listed = [(e if isinstance(e, PlacedEffect) else placed(e, simulator, segments.columns), v) for e, v in effects]
+    fitted = rollout(simulator, segments, start, [x for x in listed if x[0].element.kind != "simulator"], **options)
     patch = make_patch(study, {}, listed)
     moved = plain_loop(patch, tmp_path, segments, start)
     assert moved.shape == fitted.shape
-    error = np.abs(moved - fitted)[
-        first:-1
-    ].max()  # the engine holds its last value of a sensor for the last sample
+    error = np.abs(moved - fitted)[first:-1].max()  # the engine holds its last value of a sensor for the last sample
     print(f"{[p.label for p, _ in listed]} {integrator}: {error:.1e}")
     assert error < 1e-9
     assert np.abs(fitted - rollout(simulator, segments, start, [])).max() > 1e-4
@@ -202,9 +194,7 @@ def test_joins_a_recording_in_its_middle(tmp_path):
     late = placed(CATALOGUE["actuator_delay"], simulator, recording.columns), {"delay": 0.0333}
     segments = from_pieces([recording], [(0, 60, 161)], recording.columns)
     fitted = rollout(simulator, segments, start, [late])
-    states = np.random.default_rng(0).standard_normal(
-        (100, 2, 2)
-    )  # what was measured does not matter to the commands
+    states = np.random.default_rng(0).standard_normal((100, 2, 2))  # what was measured does not matter to the commands
     again = plain_loop(make_patch(study, {}, [late]), tmp_path, segments, start, replay=100, states=states)
     np.testing.assert_allclose(again[:-1], fitted[:-1], rtol=0, atol=1e-9)
 
@@ -247,9 +237,7 @@ data.qvel[:] = 1
 effects.control(model, data)
 print(abs(data.xfrc_applied).max() > 0, effects.measure(model, data, ["qvel/elbow"]))
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "True {'qvel/elbow': 1.0}", done.stderr
 
 

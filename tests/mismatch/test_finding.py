@@ -88,11 +88,7 @@ def required_paths(value: object, prefix: str = "") -> list[str]:
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in items:
         path = f"{prefix}{key}"
-        is_name = (
-            path == "psi.link_mass"
-            or path.startswith("effects.0.parameters.force")
-            and path.endswith("force")
-        )
+        is_name = path == "psi.link_mass" or path.startswith("effects.0.parameters.force") and path.endswith("force")
         is_channel = path.startswith(named[0]) and path.count(".") > 1
         if isinstance(value, dict) and not is_name and not is_channel:
             paths.append(path)

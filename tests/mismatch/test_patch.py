@@ -44,9 +44,7 @@ def test_psi_round_trip(tmp_path):
     wanted = mujoco.MjModel.from_xml_path(str(study.model_path))
     wanted.body("lower").mass, wanted.dof_frictionloss[:] = GIVEN["mass"], GIVEN["loss"]
     wanted.opt.gravity[:2], wanted.actuator_gear[0, 0] = GIVEN["tilt"], GIVEN["gear"]
-    assert not differences(
-        wanted, model
-    )  # so inertia did not follow mass, and damping is not the known recording's
+    assert not differences(wanted, model)  # so inertia did not follow mass, and damping is not the known recording's
     assert set(differences(believed, model)) == {
         "body_mass",
         "dof_frictionloss",
@@ -141,9 +139,7 @@ def test_assets_lie_beside(tmp_path):
     corners = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
     (folder / "meshes/tet.obj").write_text(corners)
     (folder / "tex/a.png").write_bytes(png())
-    (folder / "more.xml").write_text(
-        '<mujoco><asset><texture name="t" type="2d" file="a.png"/></asset></mujoco>'
-    )
+    (folder / "more.xml").write_text('<mujoco><asset><texture name="t" type="2d" file="a.png"/></asset></mujoco>')
     (folder / "model.xml").write_text(ASSETS)
     assert [p.relative_to(folder).as_posix() for p in assets(study)] == [
         "meshes/tet.obj",

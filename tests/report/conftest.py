@@ -41,9 +41,7 @@ def make_finding(verdict: str) -> dict[str, Any]:
                 "prior_conflict": 0.61,
             },
         },
-        "negligible": [
-            {"name": "sensor_bias", "element": {"kind": "sensor", "name": "qpos/wrist"}, "explains": 0.004}
-        ],
+        "negligible": [{"name": "sensor_bias", "element": {"kind": "sensor", "name": "qpos/wrist"}, "explains": 0.004}],
         "seconds": 41.0,
         "seed": 0,
         "versions": {"mujoco": "3.17.0", "det2stoc-bayes": "0.1.0"},
@@ -95,8 +93,7 @@ def _nothing_found() -> dict[str, Any]:
         "rollouts of 2.0 s miss the held-out samples by the noise alone.",
         "evidence": {"log10_bayes_factor": -1.2, "noise_inflation": 1.01},
         "where": {"elements": [], "when": []},
-        "fit": _fit_numbers()
-        | {"rollout_rmse_before": dict(zip(CHANNELS, (0.002, 0.0081, 0.02, 0.051), strict=True))},
+        "fit": _fit_numbers() | {"rollout_rmse_before": dict(zip(CHANNELS, (0.002, 0.0081, 0.02, 0.051), strict=True))},
         "sensitivity": [{"name": "coulomb_friction", "element": WRIST, "size": 0.0042, "unit": "N m"}],
     }
 
@@ -150,8 +147,7 @@ def make_fit(verdict: str, *, num_recordings: int = 4, num_samples: int = 900) -
 
 def _posterior(rng: np.random.Generator, **moments: tuple[float, float]) -> xr.Dataset:
     draws = {
-        name: (("chain", "draw"), mean + sd * rng.standard_normal((4, 250)))
-        for name, (mean, sd) in moments.items()
+        name: (("chain", "draw"), mean + sd * rng.standard_normal((4, 250))) for name, (mean, sd) in moments.items()
     }
     return xr.Dataset(draws)
 

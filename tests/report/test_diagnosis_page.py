@@ -114,9 +114,7 @@ def test_ids_are_unique_and_links_and_figures_find_theirs(html) -> None:
     page = Page(html)
     ids = page.ids()
     assert len(ids) == len(set(ids))
-    targets = [
-        value for _, name, value in page.attributes if name in ("data-source", "aria-labelledby", "for")
-    ]
+    targets = [value for _, name, value in page.attributes if name in ("data-source", "aria-labelledby", "for")]
     targets += [value[1:] for _, name, value in page.attributes if name == "href"]
     assert set(targets) <= set(ids)
     figures = [value for _, name, value in page.attributes if name == "data-source"]

@@ -19,8 +19,18 @@ from det2stoc_bayes.mismatch.effects.simulator import NumericalIntegration
 CATALOGUE: dict[str, Effect] = {
     effect.name: effect
     for effect in (
-        ViscousDamping(), CoulombFriction(), QuadraticDamping(), JointSpring(), CubicStiffness(), ConstantForce(),
-        Armature(), CoggingTorque(), QuadraticDrag(), ActuatorDelay(), ActuatorGain(), SensorBias(),
+        ViscousDamping(),
+        CoulombFriction(),
+        QuadraticDamping(),
+        JointSpring(),
+        CubicStiffness(),
+        ConstantForce(),
+        Armature(),
+        CoggingTorque(),
+        QuadraticDrag(),
+        ActuatorDelay(),
+        ActuatorGain(),
+        SensorBias(),
         NumericalIntegration(),
     )
 }

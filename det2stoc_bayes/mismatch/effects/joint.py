@@ -99,8 +99,10 @@ class JointSpring(JointEffect):
     def trials(self, typical):
         """The spring alone, then the spring with a rest position: two columns."""
         k = 0.003 * typical.force / typical.span
-        return [Trial(({"stiffness": k, "rest": 0.0},)),
-                Trial(({"stiffness": k, "rest": 0.0}, {"stiffness": k, "rest": typical.span}))]
+        return [
+            Trial(({"stiffness": k, "rest": 0.0},)),
+            Trial(({"stiffness": k, "rest": 0.0}, {"stiffness": k, "rest": typical.span})),
+        ]
 
     def combine(self, trial, coefficients, typical):
         """The second column is the first plus a constant force."""
@@ -165,8 +167,11 @@ class CoggingTorque(JointEffect):
     """A ripple that repeats with position."""
 
     name, law, law_text = "cogging_torque", r"A\,\sin(n q + \varphi)", "A sin(n q + phase)"
-    parameters = (EffectParameter("amplitude", ("N", "N m")), EffectParameter("cycles", ("1/m", "1/rad")),
-                  EffectParameter("phase", "rad"))
+    parameters = (
+        EffectParameter("amplitude", ("N", "N m")),
+        EffectParameter("cycles", ("1/m", "1/rad")),
+        EffectParameter("phase", "rad"),
+    )
     complexity = 3
 
     def _cycle_range(self, typical):
@@ -176,9 +181,11 @@ class CoggingTorque(JointEffect):
     def priors(self, typical):
         """Amplitude a fraction of the typical force; cycles log-uniform; phase uniform."""
         low, high = self._cycle_range(typical)
-        return {"amplitude": normal(0.2 * typical.force),
-                "cycles": Prior("LogUniform", {"low": low, "high": high}),
-                "phase": Prior("Uniform", {"low": -np.pi, "high": np.pi})}
+        return {
+            "amplitude": normal(0.2 * typical.force),
+            "cycles": Prior("LogUniform", {"low": low, "high": high}),
+            "phase": Prior("Uniform", {"low": -np.pi, "high": np.pi}),
+        }
 
     def from_normal(self, z, typical, xp=np):
         """Sine and cosine parts are normal, so that the phase has no seam."""
@@ -198,14 +205,24 @@ class CoggingTorque(JointEffect):
         amplitude = 0.002 * typical.force
         # Ripples n and n' decorrelate once (n' - n) span > pi / 2: a grid of that pitch, on whole cycles where dense.
         grid = np.unique(np.round(np.arange(low, high, np.pi / (2 * typical.span)), 6))
-        return [Trial(({"amplitude": amplitude, "cycles": n, "phase": 0.0},
-                       {"amplitude": amplitude, "cycles": n, "phase": np.pi / 2})) for n in grid]
+        return [
+            Trial(
+                (
+                    {"amplitude": amplitude, "cycles": n, "phase": 0.0},
+                    {"amplitude": amplitude, "cycles": n, "phase": np.pi / 2},
+                )
+            )
+            for n in grid
+        ]
 
     def combine(self, trial, coefficients, typical):
         """Amplitude and phase from the sine and cosine coefficients."""
         unit = trial.columns[0]
-        return {"amplitude": unit["amplitude"] * float(np.hypot(*coefficients)), "cycles": unit["cycles"],
-                "phase": float(np.arctan2(coefficients[1], coefficients[0]))}
+        return {
+            "amplitude": unit["amplitude"] * float(np.hypot(*coefficients)),
+            "cycles": unit["cycles"],
+            "phase": float(np.arctan2(coefficients[1], coefficients[0])),
+        }
 
     def joint_force(self, p, s, xp):
         """A sine of position."""

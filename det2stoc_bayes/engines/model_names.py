@@ -34,8 +34,7 @@ _ARRAYS = (
 )
 KINDS = tuple(dict.fromkeys(kind for kind, _, _ in _ARRAYS))
 _FIELDS = {
-    kind: {name: prefix + name for k, prefix, names in _ARRAYS for name in names.split() if k == kind}
-    for kind in KINDS
+    kind: {name: prefix + name for k, prefix, names in _ARRAYS for name in names.split() if k == kind} for kind in KINDS
 }
 # These mjModel calls otherwise; the names are MJCF's.
 _FIELDS["joint"] |= {
@@ -98,9 +97,7 @@ def _refuse_outside(path: Path, folder: Path) -> None:
             continue
         seen.add(current.resolve())
         if not current.resolve().is_relative_to(folder):
-            raise ModelError(
-                f"{path.name}: {current} lies outside of the study's folder; allowed: files within it"
-            )
+            raise ModelError(f"{path.name}: {current} lies outside of the study's folder; allowed: files within it")
         if current.is_file() and current.suffix.lower() == ".xml":
             waiting += _files_named(current, path.parent)
 
@@ -117,10 +114,7 @@ def _files_named(xml: Path, main: Path) -> list[Path]:
     }
     # MuJoCo's cube textures name six files, and its skins and height fields use `file` like all the rest.
     names = {
-        v
-        for a in attributes
-        for k, v in a.items()
-        if re.fullmatch(r"file(|name|up|down|left|right|front|back)", k)
+        v for a in attributes for k, v in a.items() if re.fullmatch(r"file(|name|up|down|left|right|front|back)", k)
     }
     return [directory / name for directory in directories for name in names if name]
 
@@ -139,15 +133,11 @@ def model_names(model: "mujoco.MjModel") -> ModelNames:
                 quaternions.append(f"qpos/{joint.name}")
             if joint.type[0] == _HINGE:
                 limited = model.jnt_limited[joint.id]
-                hinges[f"qpos/{joint.name}"] = (
-                    (float(joint.range[0]), float(joint.range[1])) if limited else None
-                )
+                hinges[f"qpos/{joint.name}"] = (float(joint.range[0]), float(joint.range[1])) if limited else None
     for sensor in map(model.sensor, range(model.nsensor)):
         if sensor.name:
             size = int(sensor.dim[0])
-            columns += (
-                [f"sensor/{sensor.name}"] if size == 1 else [f"sensor/{sensor.name}/{i}" for i in range(size)]
-            )
+            columns += [f"sensor/{sensor.name}"] if size == 1 else [f"sensor/{sensor.name}/{i}" for i in range(size)]
     elements = {kind: tuple(name for _, name in _named(model, kind)) for kind in KINDS}
     fields = {
         kind: {f: _shape(model, kind, f) for f, array in known.items() if array in MODEL_FIELDS}
@@ -166,11 +156,7 @@ def rows_of(model: "mujoco.MjModel", kind: str, name: str, field: str) -> Int[np
     if kind == "opt":
         return np.zeros(1, int)
     first = 1 if kind == "body" else 0
-    ids = (
-        list(range(first, _count(model, kind)))
-        if name == "*"
-        else [i for i, n in _named(model, kind) if n == name]
-    )
+    ids = list(range(first, _count(model, kind))) if name == "*" else [i for i, n in _named(model, kind) if n == name]
     if kind != "joint" or array.startswith("jnt_"):
         return np.array(ids, int)
     if array == "qpos_spring":
@@ -178,16 +164,10 @@ def rows_of(model: "mujoco.MjModel", kind: str, name: str, field: str) -> Int[np
     return np.flatnonzero(np.isin(model.dof_jntid, ids))
 
 
-def believed_value(
-    model: "mujoco.MjModel", kind: str, name: str, field: str
-) -> Float[np.ndarray, " rows *shape"]:
+def believed_value(model: "mujoco.MjModel", kind: str, name: str, field: str) -> Float[np.ndarray, " rows *shape"]:
     """What the MJCF itself says for the rows of a target."""
     array = field_of(kind, field)
-    values = (
-        [getattr(model.opt, field)]
-        if kind == "opt"
-        else getattr(model, array)[rows_of(model, kind, name, field)]
-    )
+    values = [getattr(model.opt, field)] if kind == "opt" else getattr(model, array)[rows_of(model, kind, name, field)]
     return np.array(values, float)
 
 

@@ -60,8 +60,16 @@ def joint_elements(model: mujoco.MjModel) -> list[Element]:
         joint, kind = model.joint(j), int(model.jnt_type[j])
         if joint.name and kind in (_HINGE, _SLIDE):
             hinge = kind == _HINGE
-            found.append(Element("joint", joint.name, hinge, int(joint.dofadr[0]), int(joint.qposadr[0]),
-                                 int(model.jnt_bodyid[j])))
+            found.append(
+                Element(
+                    "joint",
+                    joint.name,
+                    hinge,
+                    int(joint.dofadr[0]),
+                    int(joint.qposadr[0]),
+                    int(model.jnt_bodyid[j]),
+                )
+            )
     return found
 
 

@@ -1,0 +1,198 @@
+"""A judgement in words and numbers: the content of diagnosis.json."""
+
+from importlib.metadata import version
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import norm
+
+from det2stoc_bayes.mismatch import finding
+from det2stoc_bayes.mismatch.effects import CATALOGUE
+from det2stoc_bayes.mismatch.evidence import log_evidence
+from det2stoc_bayes.mismatch.experiment import propose
+from det2stoc_bayes.mismatch.heldout import horizon_samples
+from det2stoc_bayes.mismatch.judgement import NEGLIGIBLE, Judgement, Named, excess_beyond_chance
+from det2stoc_bayes.mismatch.statements import alternatives, draws, element, parameters, statement
+from det2stoc_bayes.mismatch.where import Condition
+
+UNLIKELY = 0.01  # tail probability under its prior at which a psi is said to lie far out
+PACKAGES = ("det2stoc-bayes", "mujoco", "numpy", "scipy")
+
+
+class Composer:
+    """Builds the finding of one judgement from Laplace draws before and after."""
+
+    def __init__(self, judged: Judgement, when: list[Condition], seed: int):
+        self.judged, self.when, self.seed, self.share = judged, when, seed, judged.found.share
+        self.study = judged.before.problem.simulator.study
+        self.z_before: Float[np.ndarray, "draws size"] = draws(judged.before, self.share, seed)
+        self.z_after: Float[np.ndarray, "draws size"] = draws(judged.after, self.share, seed)
+
+    def finding(self, seconds: float) -> finding.Finding:
+        """The whole content of diagnosis.json."""
+        judged = self.judged
+        effects = tuple(self._effect(n) for n in judged.named)
+        if judged.numerics is not None:
+            effects = (self._numerical(), *effects)
+        candidates, experiment = self._open_question()
+        named = effects if judged.verdict == "mismatch" else ()
+        fit, psi = self._scores(), self._psi()
+        return finding.Finding.model_validate(
+            {
+                "verdict": judged.verdict,
+                "summary": self._summary(named, candidates, fit, psi),
+                "evidence": {"log10_bayes_factor": self._bayes_factor(), "noise_inflation": self._inflation()},
+                "where": {
+                    "elements": _shares(named),
+                    "when": [{"condition": c.text, "share": c.share} for c in self.when],
+                },
+                "effects": named,
+                "candidates": candidates,
+                "experiment": experiment,
+                "fit": fit,
+                "psi": psi,
+                "seconds": seconds,
+                "versions": {name: version(name) for name in PACKAGES},
+                "seed": self.seed,
+                "negligible": [
+                    {"name": p.effect.name, "element": element(p).model_dump(), "explains": s}
+                    for p, s in judged.negligible
+                ],
+            }
+        )
+
+    def _effect(self, named: Named) -> finding.Effect:
+        first, *others = named.chosen.members
+        listed = {}
+        for m in (first, *others):
+            here = m.placed in self.judged.after.problem.effects
+            fit, z = (self.judged.after, self.z_after) if here else (m.fit, draws(m.fit, self.share, self.seed))
+            listed[m.placed] = parameters(fit, m.placed, z)
+        equally = tuple(f"{m.placed.effect.name.replace('_', ' ')} on {m.placed.element.label}" for m in others)
+        return finding.Effect(
+            name=first.placed.effect.name,
+            element=element(first.placed),
+            law=first.placed.effect.law_text,
+            statement=statement(first.placed, listed[first.placed], equally),
+            probability=min(named.chosen.probability, 1.0),
+            explains=named.explains,
+            recordings="all",
+            parameters=listed[first.placed],
+            equivalent=tuple(
+                finding.Equivalent(name=m.placed.effect.name, element=element(m.placed), parameters=listed[m.placed])
+                for m in others
+            ),
+            alternatives=tuple(alternatives(named.rest)),
+        )
+
+    def _numerical(self) -> finding.Effect:
+        numerics = self.judged.numerics
+        assert numerics is not None
+        step = numerics.timestep
+        return finding.Effect(
+            name="numerical_integration",
+            element=finding.Element(kind="simulator", name="option"),
+            law=CATALOGUE["numerical_integration"].law_text,
+            statement=f"The believed integration is too coarse: {numerics.integrator} at {step:g} s converges.",
+            probability=float(1 / (1 + np.exp(-min(numerics.gain, 700.0)))),
+            explains=self.judged.numerics_share,
+            recordings="all",
+            equivalent=(),
+            alternatives=(),
+            parameters={
+                "timestep": finding.Quantity(mean=step, sd=0.0, interval=(step, step), unit="s"),
+                "integrator": numerics.integrator,
+            },
+        )
+
+    def _open_question(self) -> tuple[list[finding.Alternative], finding.Experiment | None]:
+        """What cannot be told apart, and the recording that would."""
+        if self.judged.verdict != "inconclusive":
+            return [], None
+        doubtful = next(n for n in self.judged.named if n.chosen.probability < finding.SURE)
+        every = sorted((doubtful.chosen, *doubtful.rest), key=lambda c: -c.probability)
+        p = propose(every[0].members[0].fit, every[min(1, len(every) - 1)].members[0].fit)
+        experiment = {
+            "text": p.text,
+            "input": p.input,
+            "initial_state": p.initial_state,
+            "expected_gain": p.expected_gain,
+        }
+        return alternatives(every, 8), finding.Experiment.model_validate(experiment)
+
+    def _bayes_factor(self) -> float:
+        judged = self.judged
+        gains = [place[0].members[0].gain for place in judged.places if place]
+        if judged.after is not judged.before:
+            gains.append(log_evidence(judged.after, self.share) - log_evidence(judged.before, self.share))
+        return max(gains, default=0.0) / np.log(10)
+
+    def _inflation(self) -> float | None:
+        given = all(c in self.study.noise for c in self.judged.before.problem.segments.columns)
+        return self.judged.before.noise_inflation if given else None
+
+    def _scores(self) -> finding.Fit:
+        before, after = self.judged.held_before, self.judged.held_after
+        problem, gain = self.judged.before.problem, after.log_density - before.log_density
+        columns, samples = problem.segments.columns, horizon_samples(self.judged.before)
+        excess = excess_beyond_chance(before)
+        left = max(after.chi2.sum() - after.num_values.sum(), 0.0) / excess if excess else 0.0
+        records = self.study.holdout or self.study.recordings
+        spans = [r.time[min(samples or len(r.time), len(r.time)) - 1] - r.time[0] for r in records]
+        return finding.Fit(
+            horizon_s=float(np.median(spans)),
+            heldout_log_density_before=float(before.log_density.sum()),
+            heldout_log_density_after=float(after.log_density.sum()),
+            difference=float(gain.sum()),
+            standard_error=float(np.std(gain, ddof=1) * np.sqrt(len(gain))) if len(gain) > 1 else None,
+            rollout_rmse_before=dict(zip(columns, before.rmse.tolist(), strict=True)),
+            rollout_rmse_after=dict(zip(columns, after.rmse.tolist(), strict=True)),
+            rollout_rmse_noise=dict(zip(columns, problem.noise.tolist(), strict=True)),
+            unexplained_share=float(min(left, 1.0)),
+        )
+
+    def _psi(self) -> dict[str, finding.PsiChange]:
+        judged, out = self.judged, {}
+        before, after = judged.before.problem.psi(self.z_before), judged.after.problem.psi(self.z_after)
+        for j, p in enumerate(self.study.parameters):
+            moments = [finding.Moments(mean=float(x[:, j].mean()), sd=float(x[:, j].std())) for x in (before, after)]
+            tail = 2 * float(norm.sf(abs(judged.after.point.z[j])))
+            out[p.name] = finding.PsiChange(before=moments[0], after=moments[1], prior_conflict=min(tail, 1.0))
+        return out
+
+    def _summary(self, effects, candidates, fit: finding.Fit, psi: dict[str, finding.PsiChange]) -> str:
+        if self.judged.verdict == "no_mismatch":
+            return self._all_well(psi)
+        if self.judged.verdict == "inconclusive":
+            each = [
+                f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})"
+                for c in candidates[:3]
+                if c.element
+            ]
+            return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
+        pairs = zip(fit.rollout_rmse_after.values(), fit.rollout_rmse_before.values(), strict=True)
+        drops = [1 - a / b for a, b in pairs if a is not None and b]
+        them = "it" if len(effects) == 1 else "them"
+        drop = f" With {them} the held-out error falls by {max(drops):.0%}." if drops and max(drops) > 0 else ""
+        return " ".join(e.statement for e in effects) + drop
+
+    def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:
+        count = self.judged.found.num_candidates
+        text = f"Nothing in the catalogue ({count} candidates) explains the recordings better than the model."
+        odd = [n for n, p in psi.items() if isinstance(p.prior_conflict, float) and p.prior_conflict < UNLIKELY]
+        if odd:
+            text += f" But {', '.join(odd)} lies far out in its prior: the believed value or its prior is wrong."
+        if self.judged.negligible:
+            names = ", ".join(p.label.replace("_", " ") for p, _ in self.judged.negligible)
+            text += f" Significant but negligible (under {NEGLIGIBLE:.0%} of the error): {names}."
+        return text
+
+
+def _shares(effects: tuple[finding.Effect, ...]) -> list[dict]:
+    """Each element's share of what the effects explain together."""
+    total = sum(max(e.explains or 0.0, 0.0) for e in effects) or 1.0
+    shares: dict[tuple[str, str], float] = {}
+    for e in effects:
+        key = (e.element.kind, e.element.name)
+        shares[key] = shares.get(key, 0.0) + max(e.explains or 0.0, 0.0) / total
+    return [{"kind": kind, "name": name, "share": min(s, 1.0)} for (kind, name), s in shares.items()]

@@ -1,0 +1,99 @@
+"""From an explanation to a verdict: which additions matter on held-out recordings, and which are certain."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from det2stoc_bayes.mismatch.classes import Class, classes
+from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.explain import Explanation, swap, without
+from det2stoc_bayes.mismatch.finding import SURE
+from det2stoc_bayes.mismatch.heldout import HeldOut, held_out
+from det2stoc_bayes.mismatch.numerics import Numerics
+from det2stoc_bayes.optimize import Fit
+
+NEGLIGIBLE = 0.05  # of the held-out squared error beyond noise
+CHANCE = 3.0  # standard deviations of chi2 by which the held-out error exceeds noise by chance
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """An effect that matters: its class, its share of the held-out error, and the other classes of its place."""
+
+    placed: PlacedEffect
+    chosen: Class
+    explains: float
+    rest: tuple[Class, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """The verdict and everything that it rests on."""
+
+    verdict: str
+    before: Fit
+    after: Fit
+    found: Explanation
+    places: tuple[list[Class], ...]
+    named: tuple[Named, ...]
+    negligible: tuple[tuple[PlacedEffect, float], ...]
+    numerics: Numerics | None  # None unless it matters
+    numerics_share: float
+    held_before: HeldOut
+    held_after: HeldOut
+
+    @property
+    def shown(self) -> Fit:
+        """The fit that the corrected simulator takes: nothing is added that could not be named."""
+        return self.after if self.verdict == "mismatch" else self.before
+
+
+def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgement:
+    """The simplest member of each class stands for it; effects that explain next to nothing are set apart."""
+    held_before = held_out(before)
+    places = tuple(classes(slot, found.num_candidates, found.share) for slot in found.slots)
+    after = found.after
+    for i, placed in enumerate(after.problem.effects):
+        after = swap(after, i, _class_of(places[i], placed).members[0])
+    whole = held_out(after) if after.problem.effects else held_before
+    share = 0.0
+    if numerics is not None:
+        share = _share(held_before, held_before, held_out(numerics.fit))
+        numerics = numerics if share >= NEGLIGIBLE else None
+    named, negligible = [], []
+    for i, placed in enumerate(after.problem.effects):
+        alone = len(after.problem.effects) == 1 and found.before is before
+        base = held_before if alone else held_out(without(after, i))
+        explains = _share(held_before, base, whole)
+        if explains < NEGLIGIBLE:
+            negligible.append((placed, explains))
+        else:
+            chosen = _class_of(places[i], placed)
+            named.append(Named(placed, chosen, explains, tuple(c for c in places[i] if c is not chosen)))
+    for placed, _ in negligible:
+        after = without(after, list(after.problem.effects).index(placed))
+    if not named and numerics is None:
+        verdict, after = "no_mismatch", before
+    else:
+        verdict = "mismatch" if all(n.chosen.probability >= SURE for n in named) else "inconclusive"
+    held_after = held_before if after is before else whole if not negligible and named else held_out(after)
+    return Judgement(
+        verdict, before, after, found, places, tuple(named), tuple(negligible), numerics, share, held_before, held_after
+    )
+
+
+def _class_of(place: list[Class], placed: PlacedEffect) -> Class:
+    return next(c for c in place if any(m.placed == placed for m in c.members))
+
+
+def _share(believed: HeldOut, base: HeldOut, better: HeldOut) -> float:
+    """Share of the believed model's held-out squared excess that goes when `base` becomes `better`."""
+    excess = excess_beyond_chance(believed)
+    return float(np.clip((base.chi2.sum() - better.chi2.sum()) / excess, -1.0, 1.0)) if excess else 0.0
+
+
+def excess_beyond_chance(scores: HeldOut) -> float:
+    """Squared whitened error in excess of noise, 0 while noise alone may well have made it."""
+    values = scores.num_values.sum()
+    excess = float(scores.chi2.sum() - values)
+    return excess if excess > CHANCE * np.sqrt(2 * values) else 0.0
