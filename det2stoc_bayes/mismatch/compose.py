@@ -28,7 +28,7 @@ class Composer:
         self.z_before: Float[np.ndarray, "draws size"] = draws(judged.before, self.share, seed)
         self.z_after: Float[np.ndarray, "draws size"] = draws(judged.after, self.share, seed)
 
-    def finding(self, seconds: float) -> finding.Finding:
+    def compose(self, seconds: float) -> finding.Finding:
         """The whole content of diagnosis.json."""
         judged = self.judged
         effects = tuple(self._effect(n) for n in judged.named)

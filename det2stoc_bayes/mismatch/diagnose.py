@@ -5,8 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import xarray as xr
-
 from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.files import atomic_write, replacing
 from det2stoc_bayes.mismatch import finding, result
@@ -32,7 +30,7 @@ class Diagnosis:
     """A finding, the arrays behind it, and the corrected simulator."""
 
     finding: finding.Finding
-    tree: xr.DataTree
+    tree: result.DataTree
     patch: Patch
     study: Study
 
@@ -83,7 +81,7 @@ def diagnose(study: Study, *, seed: int = 0, progress: Progress = lambda *_: Non
     progress("scoring held-out recordings", 1, 1)
     composer = Composer(judged, when, seed)
     tree, patch = _arrays(judged, composer), _patch(judged, composer)
-    return Diagnosis(composer.finding(time.perf_counter() - began), tree, patch, study)
+    return Diagnosis(composer.compose(time.perf_counter() - began), tree, patch, study)
 
 
 def _believed(corrected: Fit, believed: Fit) -> Fit:
@@ -104,7 +102,7 @@ def _patch(judged: Judgement, composer: Composer) -> Patch:
     return make_patch(study, psi, effects, timestep=shown.timestep, integrator=shown.integrator)
 
 
-def _arrays(judged: Judgement, composer: Composer) -> xr.DataTree:
+def _arrays(judged: Judgement, composer: Composer) -> result.DataTree:
     """Draws, rollouts and the ranking of candidates: fit.nc."""
     study, before, after = composer.study, judged.before, judged.after
     fit_before = fitted(before)
@@ -120,4 +118,4 @@ def _arrays(judged: Judgement, composer: Composer) -> xr.DataTree:
     groups |= {f"rollouts/{name}": data for name, data in runs.items()}
     chance = {m.placed.label: c.probability for place in judged.places[:1] for c in place for m in c.members}
     groups["screening"] = result.screening(judged.found.slots[0], chance)
-    return xr.DataTree.from_dict(groups)
+    return result.DataTree.from_dict(groups)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import xarray as xr
+from xarray import DataTree
 
 from det2stoc_bayes.mismatch.explain import Ranked, Slot
 from det2stoc_bayes.mismatch.finding import variable_name
@@ -9,6 +10,8 @@ from det2stoc_bayes.mismatch.heldout import HeldOut
 from det2stoc_bayes.mismatch.where import Condition
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.recording import Recording
+
+__all__ = ["DataTree", "posterior", "rollouts", "screening"]
 
 NUM_CHAINS = 4
 

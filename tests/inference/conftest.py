@@ -11,7 +11,7 @@ from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import load_study
 
 GRAVITY = (0.3, -0.1)
-KEY = 1
+KEY = 2
 
 
 @pytest.fixture(scope="session")

@@ -64,9 +64,9 @@ def test_finite_differences_sample_the_same(fits, gaussian_problem):
 
 
 def test_nuts_with_mjx(gaussian_problem_mjx):
-    tree = nuts.fit(gaussian_problem_mjx, 1, num_samples=1000)
+    tree = nuts.fit(gaussian_problem_mjx, 1, num_samples=600)
     assert tree.attrs["engine"] == "mjx"
-    assert tree.attrs["gradients"] > 1000
+    assert tree.attrs["gradients"] > 600
     check_against_closed_form(tree, gaussian_problem_mjx)
 
 

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from det2stoc_bayes.errors import ModelError
-from det2stoc_bayes.mismatch import effects_runtime as runtime
+from det2stoc_bayes.mismatch import patch_runtime as runtime
 from det2stoc_bayes.mismatch.effects.base import Effect, PlacedEffect
 
 Values = Mapping[str, float | int | str | Sequence[float] | np.ndarray]  # of an effect's parameters

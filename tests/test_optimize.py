@@ -1,0 +1,168 @@
+"""Gauss-Newton over psi and latent starts: what it finds, how sure it says it is, and how it fails."""
+
+import numpy as np
+import pytest
+from conftest import make_study, model_xml
+from simulated import PENDULUM, SPRING, SPRING_PSI, dense_evidence, fit, noise_table, pose, recordings, spring_problem
+
+from det2stoc_bayes import optimize
+from det2stoc_bayes.optimize import fit_many, fit_starts, linearize, start_point
+
+TRUTH = {"mass": 0.9, "damping": 0.07}
+PENDULUM_PSI = """
+[psi.mass]
+target = "body/rod/mass"
+prior = { Normal = { loc = 0.8, scale = 0.1 } }
+[psi.damping]
+target = "joint/pivot/damping"
+prior = { LogNormal = { loc = -3, scale = 0.5 } }
+"""
+
+
+def true_pendulum(model):
+    model.body_mass[1], model.dof_damping[0] = TRUTH["mass"], TRUTH["damping"]
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    """Swings of a pendulum whose mass and damping are not quite the believed ones."""
+    xml, starts = model_xml(PENDULUM), [([1.2], [0.0]), ([-0.4], [3.0])]
+    made = recordings(xml, starts, 10 * np.arange(60), (2e-3, 2e-2), change=true_pendulum)
+    folder = tmp_path_factory.mktemp("pendulum") / "study"
+    return pose(make_study(folder, xml, PENDULUM_PSI + noise_table(2e-3, 2e-2), made))
+
+
+def test_known_parameters_are_found(pendulum):
+    found = fit(pendulum)
+    assert found.converged and found.noise_inflation == pytest.approx(1.0, abs=0.25)  # measured 0.98; sd 0.09
+    psi = dict(zip(TRUTH, pendulum.psi(found.point.z), strict=True))
+    shift = 1e-4
+    for j, (name, true) in enumerate(TRUTH.items()):
+        z = found.point.z + shift * np.eye(2)[j]
+        sd = abs(pendulum.psi(z)[j] - psi[name]) / shift * np.sqrt(found.covariance[j, j])
+        print(name, psi[name], sd, (psi[name] - true) / sd)
+        assert abs(psi[name] - true) < 3 * sd  # measured: 0.3 and 0.8 sds
+        assert sd < 0.02 * true  # measured: 0.2 % and 0.5 %: it says something
+
+
+def test_it_ends_at_the_top(pendulum):
+    found = fit(pendulum, tolerance=1e-6)
+    top = dense_evidence(pendulum, found.point.z, found.point.start)
+    assert np.isfinite(top)
+    lin = found.linear
+    gram, slope, square = (x.sum(0) for x in lin.gram())
+    pull = slope / found.noise_scale - found.point.z
+    # Measured: 2e-3 sds from where the gradient vanishes.
+    assert np.sqrt(pull @ found.covariance @ pull) < 0.02
+    assert found.chi2 == pytest.approx(float(square))
+    np.testing.assert_allclose(np.linalg.inv(found.covariance), gram / found.noise_scale + np.eye(2), rtol=1e-8)
+
+
+def test_the_likelihood_is_that_of_a_dense_gaussian(tmp_path):
+    problem = spring_problem(tmp_path, toml="")
+    found = fit(problem)
+    dense = dense_evidence(problem, found.point.z, found.point.start)
+    assert found.log_likelihood == pytest.approx(dense, abs=1e-4)  # measured: 2e-7 of 1,400 nats
+
+
+@pytest.mark.parametrize("z", [[-3.0, 3.0], [4.0, -5.0]])
+def test_a_bad_start_leads_to_the_same_top(pendulum, z, monkeypatch):
+    searched = []
+    search = optimize._line_search
+    monkeypatch.setattr(optimize, "_line_search", lambda *a: searched.append(1) or search(*a))
+    good, found = fit(pendulum, tolerance=1e-4), fit(pendulum, z, tolerance=1e-4, max_iterations=20)
+    away = found.point.z - good.point.z
+    print(z, len(searched), away)
+    assert np.sqrt(away @ np.linalg.solve(good.covariance, away)) < 0.1
+
+
+def test_a_step_that_overshoots_is_shortened(pendulum, monkeypatch):
+    """Far above, where full steps lead nowhere, the misfit still falls with every iteration."""
+    heights = [
+        optimize._height(fit(pendulum, [8.0, -4.0], max_iterations=n, free_scale=False).linear, 1.0) for n in range(5)
+    ]
+    print(heights)
+    assert all(b <= a for a, b in zip(heights[:-1], heights[1:], strict=True))
+    monkeypatch.setattr(optimize, "_line_search", lambda linear, steps: [None] * len(linear))
+    stuck = fit(pendulum, [8.0, -4.0], max_iterations=5, free_scale=False)
+    assert optimize._height(stuck.linear, 1.0) > 10 * heights[-1]
+
+
+def test_divergence_is_none_and_leaves_the_others_alone(tmp_path):
+    problem = spring_problem(tmp_path)
+    far = start_point(problem, np.array([0.0, 1e12]))  # a stiffness at which the timestep explodes
+    good = start_point(problem)
+    assert fit_many([(problem, far)]) == [None]
+    alone = fit_many([(problem, good)])[0]
+    first, second, third = fit_many([(problem, good), (problem, far), (problem, good)])
+    assert second is None
+    np.testing.assert_allclose(first.point.z, alone.point.z, rtol=1e-9)
+    np.testing.assert_allclose(third.point.z, alone.point.z, rtol=1e-9)
+    assert fit_starts(problem, np.array([0.0, 1e12])) is None
+
+
+def test_the_covariance_is_the_spread_over_replications(tmp_path):
+    """Truths from the prior, fresh noise: errors over their covariance are chi2 with a degree for each unknown."""
+    xml, rng, squares, inflation = model_xml(SPRING), np.random.default_rng(3), [], []
+    problem = spring_problem(tmp_path, noise=0.02)
+    segments = problem.segments
+    for _ in range(NUM_REPLICATIONS):
+        z = rng.standard_normal(2)
+        psi = problem.psi(z)
+
+        def change(model, psi=psi):
+            model.dof_damping[0], model.jnt_stiffness[0] = psi
+
+        made = recordings(
+            xml, [([0.2], [0.4])], 10 * np.arange(25), (0.02, 0.2), seed=int(rng.integers(1 << 30)), change=change
+        )
+        time, table = made["run_0"]
+        record = segments.recordings[0]
+        record = type(record)(
+            "r", time, record.columns, np.stack([table[c] for c in record.columns], 1), np.zeros((25, 0)), record.path
+        )
+        found = fit(problem.on(optimize_cut(record)), free_scale=False)
+        error = found.point.z - z
+        squares.append(error @ np.linalg.solve(found.covariance, error))
+        inflation.append(found.noise_inflation)
+    mean, sampling = np.mean(squares), 2 / np.sqrt(NUM_REPLICATIONS)
+    print(mean, sampling, np.mean(inflation))
+    assert mean == pytest.approx(2.0, abs=3 * sampling)
+    assert np.mean(inflation) == pytest.approx(1.0, abs=3 * np.sqrt(2 / 46 / NUM_REPLICATIONS))
+
+
+NUM_REPLICATIONS = 120
+
+
+def optimize_cut(record):
+    from det2stoc_bayes.segments import cut
+
+    return cut([record])
+
+
+def test_a_misfit_widens_the_noise(tmp_path):
+    problem = spring_problem(tmp_path, push=lambda model, data: data.qfrc_applied.__setitem__(0, 3.0))
+    wide, narrow = fit(problem), fit(problem, free_scale=False)
+    assert wide.noise_scale == pytest.approx(wide.noise_inflation) and wide.noise_scale > 5
+    assert narrow.noise_scale == 1.0
+    assert (np.diag(wide.covariance) > 2 * np.diag(narrow.covariance)).all()
+
+
+def test_starts_alone(pendulum):
+    z = fit(pendulum).point.z
+    lin = fit_starts(pendulum, z)
+    step = lin.latent.best_start(lin.stacked)
+    assert lin.columns.shape[-1] == 0
+    # Measured: 1e-3 of a noise sd.
+    assert np.abs(step / np.array([2e-3, 2e-2])).max() < 0.05
+    assert (lin.stacked**2).sum() <= (linearize([(pendulum, start_point(pendulum, z))])[0].stacked ** 2).sum()
+
+
+def test_no_unknowns_and_no_effects(tmp_path):
+    found = fit(spring_problem(tmp_path, toml=""))
+    assert found.point.z.shape == (0,) and found.covariance.shape == (0, 0)
+    assert found.noise_inflation == pytest.approx(1.0, abs=0.3)
+
+
+def test_the_table_of_psi_is_the_springs():
+    assert SPRING_PSI.count("target") == 2
