@@ -32,6 +32,7 @@ demo: $(READY)
 	@$(BIN)/python -m det2stoc_bayes.blind.demo
 
 bench: $(READY)
+	@UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --group bench --python $(BIN)/python
 	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python "$$file" || exit 1; done
 
 clean:

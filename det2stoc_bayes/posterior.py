@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
+from xarray import DataTree as DataTree  # what every method returns; only here and in reports is xarray imported
 
 from det2stoc_bayes.density import Density, constrained, log_prior
 from det2stoc_bayes.errors import Det2StocError

@@ -23,7 +23,7 @@ def as_key(key: int | jax.Array) -> jax.Array:
     """A jax key from a seed, a key, or a key of the older kind."""
     if isinstance(key, int):
         return jax.random.key(key)
-    return key if jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
+    return key if jax.numpy.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
 
 
 def seed_of(key: jax.Array) -> int:

@@ -7,7 +7,6 @@ once where the posterior is near its Gaussian.
 import emcee
 import jax
 import numpy as np
-import xarray as xr
 from jaxtyping import Float
 from scipy import stats
 
@@ -15,12 +14,12 @@ from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.density_jax import Remembered
 from det2stoc_bayes.inference._sampling import as_key, mode_of, normal_draws, numpy_random, per_chain, seed_of
 from det2stoc_bayes.map import Expansion
-from det2stoc_bayes.posterior import Progress, build, measured
+from det2stoc_bayes.posterior import DataTree, Progress, build, measured
 from det2stoc_bayes.problem import Problem
 
 CHECK_EVERY = 25  # steps
 BURN_IN = 3.0  # autocorrelation times left out (the walkers start as draws of the mode's Gaussian)
-DEGREES = 6.0  # of freedom of the Student-t
+DEGREES = 6  # of freedom of the Student-t
 SHARE = 0.6  # of steps that are independent draws
 
 
@@ -33,7 +32,7 @@ def fit(
     num_autocorrelation_times: float = 50.0,
     max_steps: int = 5000,
     progress: Progress | None = None,
-) -> xr.DataTree:
+) -> DataTree:
     """At least `num_samples` thinned draws; walkers are the chains: judge by autocorrelation time, not R-hat.
 
     It runs until `num_autocorrelation_times` have passed after the burn-in (`converged`), or `max_steps`.
@@ -66,7 +65,7 @@ def fit(
             progress,
         )
         kept, thin = _kept(sampler.iteration, time, draws)
-        z = np.swapaxes(sampler.get_chain()[kept], 0, 1)
+        z = np.swapaxes(np.asarray(sampler.get_chain())[kept], 0, 1)
         sample_stats = {
             "autocorrelation_time": (("unknown",), time),
             "acceptance_rate": (("chain",), sampler.acceptance_fraction),

@@ -2,17 +2,16 @@
 
 import jax
 import numpy as np
-import xarray as xr
 
 from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.inference._sampling import as_key, mode_of, normal_draws, numpy_random, per_chain, seed_of
-from det2stoc_bayes.posterior import build, measured
+from det2stoc_bayes.posterior import DataTree, build, measured
 from det2stoc_bayes.problem import Problem
 
 NUM_CHAINS = 4  # independent draws; so that every method's result has the same shape
 
 
-def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000) -> xr.DataTree:
+def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000) -> DataTree:
     """Draws of N(mode, inverse curvature); `log_weight` is log target - log Gaussian."""
     key = as_key(key)
     with measured(problem) as cost:

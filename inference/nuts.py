@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 
 from det2stoc_bayes.density_jax import jax_log_prior
 from det2stoc_bayes.inference._sampling import (
@@ -18,7 +17,7 @@ from det2stoc_bayes.inference._sampling import (
     seed_of,
     stacked,
 )
-from det2stoc_bayes.posterior import Progress, build, measured
+from det2stoc_bayes.posterior import DataTree, Progress, build, measured
 from det2stoc_bayes.problem import Problem
 
 
@@ -33,7 +32,7 @@ def fit(
     max_tree_depth: int = 8,
     gradient: Gradient = "auto",
     progress: Progress | None = None,
-) -> xr.DataTree:
+) -> DataTree:
     """`num_samples` draws in all. The warm-up tunes the step size alone: the mass is the mode's precision."""
     from numpyro.infer import NUTS
 

@@ -1,18 +1,17 @@
 """Draws of the prior, with the declared likelihood of each."""
 
 import jax
-import xarray as xr
 
 from det2stoc_bayes.density import Density
 from det2stoc_bayes.inference._sampling import as_key, numpy_random, per_chain, seed_of
 from det2stoc_bayes.map import find_map
-from det2stoc_bayes.posterior import build, measured
+from det2stoc_bayes.posterior import DataTree, build, measured
 from det2stoc_bayes.problem import Problem
 
 NUM_CHAINS = 4  # independent draws; so that every method's result has the same shape
 
 
-def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000) -> xr.DataTree:
+def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000) -> DataTree:
     """`num_samples` independent draws."""
     key = as_key(key)
     with measured(problem) as cost:

@@ -185,4 +185,6 @@ def dense_evidence(problem: Problem, z: np.ndarray, start: Start, extra: np.ndar
     covariance = covariance[np.ix_(seen, seen)]
     sign, log_det = np.linalg.slogdet(covariance)
     assert sign > 0
-    return float(-0.5 * (difference @ np.linalg.solve(covariance, difference) + log_det + seen.sum() * np.log(2 * np.pi)))
+    return float(
+        -0.5 * (difference @ np.linalg.solve(covariance, difference) + log_det + seen.sum() * np.log(2 * np.pi))
+    )

@@ -16,6 +16,7 @@ from det2stoc_bayes.mismatch.effects.base import BodyState, JointState
 from det2stoc_bayes.segments import TIME_SLACK
 
 MAX_SIMULATIONS = 4096
+MAX_PERSISTENT = 512  # simulations that keep an MjData each (some 100 KB and more)
 MAX_RECORDED = 24_000_000  # numbers held at once: about 200 MB
 _STATE = mujoco.mjtState
 _SET_CONST_INPUTS = frozenset(mujoco.MjModel._setconst_inputs)
@@ -40,7 +41,9 @@ class MujocoC:
         model = self._model(request.timestep, request.integrator)
         steps = request.segments.steps(model.opt.timestep)[request.which]
         width = model.nq + model.nv + model.nu + model.nsensordata
-        size = int(np.clip(MAX_RECORDED // (width * steps.max(initial=1)), 1, MAX_SIMULATIONS))
+        keeping = any(e.placed.effect.uses("body_force") for e in request.effects)
+        most = MAX_PERSISTENT if keeping else MAX_SIMULATIONS
+        size = int(np.clip(MAX_RECORDED // (width * steps.max(initial=1)), 1, most))
         parts = []
         for begin in range(0, len(steps), size):
             rows = slice(begin, min(begin + size, len(steps)))

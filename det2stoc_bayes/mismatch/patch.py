@@ -10,8 +10,8 @@ import numpy as np
 from det2stoc_bayes.engines.model_names import compile_model
 from det2stoc_bayes.errors import ModelError
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
-from det2stoc_bayes.mismatch.patch_module import FieldWrite, Values, hooks_of, module_text, parameter_texts
 from det2stoc_bayes.mismatch.patch_fields import asset_files, differences, mjcf_text, read_field, write_field
+from det2stoc_bayes.mismatch.patch_module import FieldWrite, Values, hooks_of, module_text, parameter_texts
 from det2stoc_bayes.simulator import address
 from det2stoc_bayes.study import Study
 from det2stoc_bayes.suggestions import choices

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from det2stoc_bayes.inference import laplace, nuts
+from det2stoc_bayes.inference import blackjax_nuts, laplace, nuts
 from det2stoc_bayes.models import linear_gaussian
 
 EXACT = ("blackjax_nuts", "emcee", "laplace", "nuts")
@@ -47,6 +47,19 @@ def test_nuts_is_well_tuned(fits):
         assert 0.6 < float(stats.acceptance_rate.mean()) < 0.98
         assert float(stats.n_steps.mean()) < 10
         assert max(float(v) for v in az.rhat(fits(name).posterior).values()) < 1.02
+
+
+@pytest.mark.parametrize("method", [nuts, blackjax_nuts], ids=["nuts", "blackjax_nuts"])
+def test_many_chains_are_unbiased(method, gaussian_problem):
+    """Standard errors from independent chains: no estimate of autocorrelation can flatter them."""
+    tree = method.fit(gaussian_problem, 3, num_samples=64 * 60, num_chains=64)
+    mean, covariance = linear_gaussian.exact_posterior(gaussian_problem)
+    draws = np.stack([tree.posterior[n].values for n in NAMES], -1) - mean
+    root = np.linalg.cholesky(np.linalg.inv(covariance))
+    u = draws @ root
+    for moment, expected in ((u.mean(1), 0.0), ((u**2).mean(1), 1.0)):
+        error = moment.std(0, ddof=1) / np.sqrt(len(moment))
+        assert (np.abs(moment.mean(0) - expected) < 3.5 * error).all()
 
 
 def test_emcee_runs_long_enough(fits):

@@ -9,8 +9,8 @@ import pytest
 from conftest import ARM, FREE, MOTORS, make_study, model_xml
 
 from det2stoc_bayes.errors import ModelError
-from det2stoc_bayes.mismatch.patch_fields import differences
 from det2stoc_bayes.mismatch.patch import assets, effects_module, make_patch, patched_model
+from det2stoc_bayes.mismatch.patch_fields import differences
 
 PSI = """
 [psi.mass]

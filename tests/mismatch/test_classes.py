@@ -1,0 +1,82 @@
+"""Which explanations are one: those that fit and predict alike."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import fit, place, spring_problem
+
+from det2stoc_bayes.mismatch.classes import classes
+from det2stoc_bayes.mismatch.effects import Typical
+from det2stoc_bayes.mismatch.evidence import log_evidence, probabilities
+from det2stoc_bayes.mismatch.explain import Ranked, Slot
+
+SMALL = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
+
+
+@pytest.fixture(scope="module")
+def slot(tmp_path_factory):
+    """Drag on a sliding mass, and four explanations of it."""
+
+    def drag(model, data):
+        data.qfrc_applied[0] = -0.5 * abs(data.qvel[0]) * data.qvel[0]
+
+    problem = spring_problem(tmp_path_factory.mktemp("classes"), push=drag, noise=1e-3)
+    base, ranked = fit(problem), []
+    for name, element in (
+        ("quadratic_drag", "block"),
+        ("quadratic_damping", "slide"),
+        ("viscous_damping", "slide"),
+        ("coulomb_friction", "slide"),
+    ):
+        placed = place(problem, name, element, SMALL)
+        found = fit(problem.with_effects([placed]))
+        ranked.append(Ranked(placed, found, log_evidence(found) - log_evidence(base)))
+    return Slot(base, (), tuple(sorted(ranked, key=lambda r: -r.gain)))
+
+
+def names(one):
+    return [m.placed.effect.name for m in one.members]
+
+
+def test_equal_predictions_are_one_class_named_by_its_simplest(slot):
+    found = classes(slot, 20, 1.0)
+    assert names(found[0]) == ["quadratic_damping", "quadratic_drag"]
+    assert sorted(n for c in found[1:] for n in names(c)) == ["coulomb_friction", "viscous_damping"]
+    assert found[0].probability > 0.999  # measured: 40 nats ahead
+    chances = probabilities([r.gain for r in slot.ranked], 20)
+    assert sum(c.probability for c in found) == pytest.approx(chances.sum())
+    assert [c.probability for c in found] == sorted((c.probability for c in found), reverse=True)
+
+
+def test_a_difference_in_likelihood_parts_them(slot):
+    ranked = [
+        replace(r, fit=replace(r.fit, chi2=r.fit.chi2 + 2.5)) if r.placed.effect.name == "quadratic_drag" else r
+        for r in slot.ranked
+    ]
+    found = classes(replace(slot, ranked=tuple(ranked)), 20, 1.0)
+    assert all(len(c.members) == 1 for c in found)
+    # Where only one sample in ten is independent, the same difference says nothing.
+    assert len(classes(replace(slot, ranked=tuple(ranked)), 20, 0.1)[0].members) == 2
+
+
+def test_a_difference_in_prediction_parts_them(slot):
+    def shifted(r):
+        stacked = r.fit.linear.stacked.copy()
+        stacked[:, ::2] += np.sign(np.random.default_rng(0).standard_normal(stacked[:, ::2].shape))
+        return replace(r, fit=replace(r.fit, linear=replace(r.fit.linear, stacked=stacked)))
+
+    ranked = [shifted(r) if r.placed.effect.name == "quadratic_drag" else r for r in slot.ranked]
+    assert all(len(c.members) == 1 for c in classes(replace(slot, ranked=tuple(ranked)), 20, 1.0))
+
+
+def test_more_parameters_are_another_class(slot):
+    problem = slot.base.problem
+    spring = place(problem, "joint_spring", "slide", SMALL)
+    one = slot.ranked[0]
+    twin = Ranked(spring, one.fit, one.gain)  # told to predict alike
+    assert [len(c.members) for c in classes(replace(slot, ranked=(one, twin)), 20, 1.0)] == [1, 1]
+
+
+def test_nothing_ranked_is_no_class(slot):
+    assert classes(replace(slot, ranked=()), 20, 1.0) == []

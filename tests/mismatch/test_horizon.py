@@ -1,0 +1,86 @@
+"""How far a fit climbs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import make_study, model_xml
+from simulated import PENDULUM, fit, noise_table, place, pose, recordings
+
+from det2stoc_bayes.mismatch.effects import Typical
+from det2stoc_bayes.mismatch.horizon import LARGEST_ERROR, climb, extend, ladder, relative_error
+from det2stoc_bayes.segments import cut
+
+STARTS = [([1.2], [0.0]), ([-0.4], [3.0])]
+PSI = """
+[psi.damping]
+target = "joint/pivot/damping"
+prior = { Normal = { loc = 0.05, scale = 0.02 } }
+"""
+
+
+def pendulum(folder, length=100, **options):
+    xml = model_xml(PENDULUM)
+    made = recordings(xml, STARTS, 10 * np.arange(length), (2e-3, 2e-2), **options)
+    return pose(make_study(folder / "study", xml, PSI + noise_table(2e-3, 2e-2), made))
+
+
+@pytest.mark.parametrize(
+    ("length", "rungs"),
+    [(30, [None]), (79, [None]), (80, [20, None]), (330, [20, 80, None]), (1280, [20, 80, 320, None])],
+)
+def test_rungs(tmp_path, length, rungs):
+    problem, time = pendulum(tmp_path, 3), 0.02 * np.arange(length)
+    record = replace(
+        problem.segments.recordings[0], time=time, values=np.zeros((length, 2)), ctrl=np.zeros((length, 0))
+    )
+    assert list(ladder(problem.on(cut((record,))))) == rungs
+
+
+def test_the_right_model_reaches_whole_recordings(tmp_path):
+    found = climb(pendulum(tmp_path))
+    assert found.problem.segments.count == 2
+    assert relative_error(found) < 0.01  # measured: 0.003, the noise
+    assert found.noise_inflation == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_wrong_model_stays_at_what_it_can_predict_until_it_is_mended(tmp_path):
+    def twisted(model, data):
+        data.qfrc_applied[0] = 1.5 * np.sin(4 * data.qpos[0] + 1)
+
+    problem = pendulum(tmp_path, push=twisted)
+    stuck = climb(problem)
+    whole = fit(problem)
+    print(relative_error(stuck), relative_error(whole), stuck.problem.segments.count)
+    assert stuck.problem.segments.count == 10 and relative_error(whole) > LARGEST_ERROR
+    assert extend(stuck).problem.segments.count == 10  # it is still wrong
+    ripple = place(problem, "cogging_torque", "pivot", Typical(force=1.5, span=1.0))
+    values = {"amplitude": 1.4, "cycles": 4.05, "phase": 0.95}
+    z = np.concatenate([stuck.point.z, ripple.effect.to_normal(values, ripple.typical)])
+    mended = extend(fit(stuck.problem.with_effects([ripple]), z))
+    print(mended.noise_inflation)
+    assert mended.problem.segments.count == 2 and mended.noise_inflation < 1.5
+    assert extend(mended) is mended
+
+
+def test_a_model_that_explodes_has_no_horizon(tmp_path):
+    problem = pendulum(tmp_path, 40)
+    assert climb(problem, np.array([-1e10])) is None
+
+
+def test_columns_that_hardly_move_have_no_say(tmp_path):
+    problem = pendulum(tmp_path, 40)
+    found = fit(problem)
+    assert relative_error(found) > 0
+    still = found.problem.segments.values.copy()
+    still[:] = still.mean((0, 1)) + problem.noise * np.random.default_rng(0).standard_normal(still.shape)
+    rest = fit(problem.on(replace(problem.segments, values=still)), max_iterations=1)
+    assert relative_error(rest) == 0.0
+
+
+def test_error_is_beside_the_spread(tmp_path):
+    problem = pendulum(tmp_path, 40)
+    found = fit(problem.on(cut(problem.segments.recordings)))
+    r = problem.segments.values - problem.simulator.rollout(problem.request(found.point.z[None], found.point.start))
+    expected = (r.std((0, 1)) / problem.segments.values.std((0, 1))).max()
+    assert relative_error(found) == pytest.approx(expected, rel=0.02)

@@ -1,0 +1,58 @@
+"""A timestep that is too coarse is told from one that is not, and from missing physics."""
+
+import numpy as np
+import pytest
+from conftest import make_study, model_xml
+from simulated import PENDULUM, fit, noise_table, pose, recordings
+
+from det2stoc_bayes.mismatch.numerics import check_numerics
+
+COARSE = '<option timestep="0.02" integrator="Euler" gravity="0 0 -9.81"/>'
+FINE = '<option timestep="0.001" integrator="RK4" gravity="0 0 -9.81"/>'
+GOOD = '<option timestep="0.005" integrator="RK4" gravity="0 0 -9.81"/>'
+STARTS = [([1.5], [0.0]), ([-0.4], [4.0])]
+PSI = """
+[psi.damping]
+target = "joint/pivot/damping"
+prior = { Normal = { loc = 0.05, scale = 0.02 } }
+"""
+
+
+def believed(folder, option, **options):
+    """What a fine simulation recorded, believed to come from another."""
+    made = recordings(model_xml(PENDULUM, option=FINE), STARTS, 20 * np.arange(60), (2e-3, 2e-2), **options)
+    return fit(
+        pose(make_study(folder / "study", model_xml(PENDULUM, option=option), PSI + noise_table(2e-3, 2e-2), made))
+    )
+
+
+def test_a_coarse_timestep_is_found(tmp_path):
+    base = believed(tmp_path, COARSE)
+    found = check_numerics(base, 0.02, 20)
+    print(base.noise_inflation, found.timestep, found.gain, found.fit.noise_inflation)
+    assert found.integrator == "RK4" and found.timestep in (0.02, 0.01, 0.005)
+    assert base.noise_inflation > 1.5 and found.fit.noise_inflation == pytest.approx(1.0, abs=0.3)
+    assert found.gain > 20
+    problem = found.fit.problem
+    assert (problem.timestep, problem.integrator) == (found.timestep, "RK4")
+
+
+@pytest.mark.parametrize("option", [GOOD, GOOD.replace("RK4", "Euler").replace("0.005", "0.0002")])
+def test_a_fine_one_is_not(tmp_path, option):
+    base = believed(tmp_path, option)
+    assert base.noise_inflation < 1.3
+    assert check_numerics(base, float(option.split('"')[1]), 20) is None
+
+
+def test_missing_physics_is_not_blamed_on_the_timestep(tmp_path):
+    def twisted(model, data):
+        data.qfrc_applied[0] = 0.3 * np.sin(4 * data.qpos[0])
+
+    base = believed(tmp_path, GOOD, push=twisted)
+    assert base.noise_inflation > 3
+    assert check_numerics(base, 0.005, 20) is None
+
+
+def test_many_candidates_ask_for_more(tmp_path):
+    base = believed(tmp_path, COARSE)
+    assert check_numerics(base, 0.02, 10**18) is None
