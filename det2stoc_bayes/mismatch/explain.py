@@ -13,8 +13,9 @@ from det2stoc_bayes.optimize import Fit, Point, fit_many
 
 NUM_REFINED = 6
 PROMISING = 0.1  # of the best screened evidence: what earns less is not refined
-RACE = 200.0  # nats behind the best after two iterations at which a candidate is no longer refined
+RACE = 50.0  # nats behind the best after two iterations at which a candidate is no longer refined
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
+SETTLED = 0.3  # nats that a further iteration may gain
 MAX_EFFECTS = 3
 Progress = Callable[[str, int, int], None]  # stage, done, total
 
@@ -82,13 +83,14 @@ def refine(base: Fit, worth: Sequence[Screened], progress: Progress) -> list[Ran
     if not points:
         return []
     progress("refining the best", 0, len(worth))
-    fits = [f for f in fit_many(points, max_iterations=2, tolerance=0.3) if f is not None and _allowed(f)]
+    fits = [f for f in fit_many(points, max_iterations=2, tolerance=_tolerance(base)) if f is not None and _allowed(f)]
     if not fits:
         return []
     share = effective_share(min(fits, key=lambda f: f.chi2))
     top = max(log_evidence(f, share) for f in fits)
     racing = [f for f in fits if log_evidence(f, share) > top - RACE and not f.converged]
-    further = fit_many([(f.problem, f.point) for f in racing], tolerance=0.3) if racing else []
+    on = [(f.problem, f.point) for f in racing]
+    further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
     better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None and _allowed(g)}
     fits = [better.get(id(f), f) for f in fits]
     progress("refining the best", len(worth), len(worth))
@@ -96,6 +98,11 @@ def refine(base: Fit, worth: Sequence[Screened], progress: Progress) -> list[Ran
     before = log_evidence(base, share)
     ranked = (Ranked(f.problem.effects[-1], f, log_evidence(f, share) - before) for f in fits)
     return sorted(ranked, key=lambda r: -r.gain)
+
+
+def _tolerance(fit: Fit) -> float:
+    """Gain at which iterations end; under model error a nat of correlated samples is worth less."""
+    return SETTLED / effective_share(fit)
 
 
 def _allowed(fit: Fit) -> bool:
@@ -107,10 +114,10 @@ def _allowed(fit: Fit) -> bool:
 def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None) -> Explanation:
     """Effects are added while the best still earns its evidence, then each is judged with the others in place."""
     needed, current, last = threshold(len(pool)), before, None
-    for _ in range(MAX_EFFECTS + 1):
+    for _ in range(MAX_EFFECTS):
         slot = look(current, pool, progress)
         last = slot if last is None else last
-        if not slot.ranked or slot.ranked[0].gain < needed or len(current.problem.effects) == MAX_EFFECTS:
+        if not slot.ranked or slot.ranked[0].gain < needed:
             break
         current = extend(slot.ranked[0].fit)
     assert last is not None
@@ -147,7 +154,7 @@ def _keep(fit: Fit, effects: Sequence[PlacedEffect]) -> Point:
 
 def _refit(fit: Fit, effects: Sequence[PlacedEffect]) -> Fit:
     """The best fit with only some of the effects, on the same segments."""
-    found = fit_many([(fit.problem.with_effects(effects), _keep(fit, effects))], tolerance=0.3)[0]
+    found = fit_many([(fit.problem.with_effects(effects), _keep(fit, effects))], tolerance=_tolerance(fit))[0]
     return fit if found is None else found
 
 
@@ -168,7 +175,7 @@ def swap(fit: Fit, i: int, other: Ranked) -> Fit:
     own = other.fit.point.z[other.fit.problem.size - other.placed.size :]
     effects[i] = other.placed
     z = np.concatenate([kept.z[:cut_at], own, kept.z[cut_at:]])
-    found = fit_many([(fit.problem.with_effects(effects), Point(z, fit.point.start))], tolerance=0.3)[0]
+    found = fit_many([(fit.problem.with_effects(effects), Point(z, fit.point.start))], tolerance=_tolerance(fit))[0]
     return fit if found is None else found
 
 

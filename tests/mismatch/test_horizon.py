@@ -51,15 +51,14 @@ def test_a_wrong_model_stays_at_what_it_can_predict_until_it_is_mended(tmp_path)
     problem = pendulum(tmp_path, push=twisted)
     stuck = climb(problem)
     whole = fit(problem)
-    print(relative_error(stuck), relative_error(whole), stuck.problem.segments.count)
+    # Measured: 0.36 and 0.58; short stretches are the least that is asked.
     assert stuck.problem.segments.count == 10 and relative_error(whole) > LARGEST_ERROR
     assert extend(stuck).problem.segments.count == 10  # it is still wrong
     ripple = place(problem, "cogging_torque", "pivot", Typical(force=1.5, span=1.0))
     values = {"amplitude": 1.4, "cycles": 4.05, "phase": 0.95}
     z = np.concatenate([stuck.point.z, ripple.effect.to_normal(values, ripple.typical)])
     mended = extend(fit(stuck.problem.with_effects([ripple]), z))
-    print(mended.noise_inflation)
-    assert mended.problem.segments.count == 2 and mended.noise_inflation < 1.5
+    assert mended.problem.segments.count == 2 and mended.noise_inflation < 1.3  # measured: 0.99
     assert extend(mended) is mended
 
 

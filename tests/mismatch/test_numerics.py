@@ -29,10 +29,10 @@ def believed(folder, option, **options):
 def test_a_coarse_timestep_is_found(tmp_path):
     base = believed(tmp_path, COARSE)
     found = check_numerics(base, 0.02, 20)
-    print(base.noise_inflation, found.timestep, found.gain, found.fit.noise_inflation)
     assert found.integrator == "RK4" and found.timestep in (0.02, 0.01, 0.005)
-    assert base.noise_inflation > 1.5 and found.fit.noise_inflation == pytest.approx(1.0, abs=0.3)
-    assert found.gain > 20
+    # Measured: 28 before, 1.02 after.
+    assert base.noise_inflation > 5 and found.fit.noise_inflation == pytest.approx(1.0, abs=0.3)
+    assert found.gain > 100  # measured: 389 nats
     problem = found.fit.problem
     assert (problem.timestep, problem.integrator) == (found.timestep, "RK4")
 
@@ -51,8 +51,3 @@ def test_missing_physics_is_not_blamed_on_the_timestep(tmp_path):
     base = believed(tmp_path, GOOD, push=twisted)
     assert base.noise_inflation > 3
     assert check_numerics(base, 0.005, 20) is None
-
-
-def test_many_candidates_ask_for_more(tmp_path):
-    base = believed(tmp_path, COARSE)
-    assert check_numerics(base, 0.02, 10**18) is None

@@ -36,15 +36,14 @@ def test_an_effect_of_fast_motion(tmp_path):
             :, :-1, 0
         ]
     )
-    print(found, np.quantile(speed, [0.1, 0.5, 0.9]))
     assert len(found) == 1
     rule = found[0]
     assert rule.text == f"abs(qvel/run) > {rule.threshold:.3g}" and rule.variable == "qvel/run"
     inside = speed > rule.threshold
-    print(work[inside].sum() / work.sum(), inside.mean())
+    # Measured: 0.94 of the action in 0.22 of the time; the threshold is told with three digits, hence 0.92 here.
     assert rule.share >= 0.8
     assert rule.share == pytest.approx(work[inside].sum() / work.sum(), abs=0.05)
-    assert inside.mean() < rule.share - 0.1
+    assert inside.mean() < rule.share - 0.15
 
 
 def test_an_effect_that_always_acts_has_no_condition(tmp_path):
@@ -75,7 +74,6 @@ def test_a_command_can_be_the_condition(tmp_path):
     gain = place(problem, "actuator_gain", "push")
     after = fit(problem.with_effects([gain]))
     found = conditions(after, 0)
-    print(found)
     assert [c.variable for c in found] == ["ctrl/push"]
 
 
