@@ -12,7 +12,7 @@ from det2stoc_bayes.mismatch.screen import Screened, screen
 from det2stoc_bayes.optimize import Fit, Point, fit_many
 
 NUM_REFINED = 6
-PROMISING = 0.1  # of the best screened evidence: what earns less is not refined
+PROMISING = 0.3  # of the best screened evidence: what earns less is not refined
 RACE = 50.0  # nats behind the best after two iterations at which a candidate is no longer refined
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
 SETTLED = 0.3  # nats that a further iteration may gain

@@ -49,6 +49,13 @@ def test_equal_predictions_are_one_class_named_by_its_simplest(slot):
     assert [c.probability for c in found] == sorted((c.probability for c in found), reverse=True)
 
 
+def test_the_simplest_comes_first_even_where_another_gains_more(slot):
+    favoured = [replace(r, gain=r.gain + 5 * (r.placed.effect.name == "quadratic_drag")) for r in slot.ranked]
+    ranked = tuple(sorted(favoured, key=lambda r: -r.gain))
+    assert ranked[0].placed.effect.name == "quadratic_drag"
+    assert names(classes(replace(slot, ranked=ranked), 20, 1.0)[0]) == ["quadratic_damping", "quadratic_drag"]
+
+
 def test_a_difference_in_likelihood_parts_them(slot):
     ranked = [
         replace(r, fit=replace(r.fit, chi2=r.fit.chi2 + 2.5)) if r.placed.effect.name == "quadratic_drag" else r

@@ -5,6 +5,7 @@ import pytest
 from conftest import make_study, model_xml
 from simulated import PENDULUM, fit, noise_table, pose, recordings
 
+from det2stoc_bayes.mismatch import numerics
 from det2stoc_bayes.mismatch.numerics import check_numerics
 
 COARSE = '<option timestep="0.02" integrator="Euler" gravity="0 0 -9.81"/>'
@@ -51,3 +52,10 @@ def test_missing_physics_is_not_blamed_on_the_timestep(tmp_path):
     base = believed(tmp_path, GOOD, push=twisted)
     assert base.noise_inflation > 3
     assert check_numerics(base, 0.005, 20) is None
+
+
+def test_a_change_that_gains_no_evidence_is_not_blamed(tmp_path, monkeypatch):
+    base = believed(tmp_path, COARSE)
+    monkeypatch.setattr(numerics, "log_evidence", lambda fit: 2.0 * (fit is not base))
+    assert check_numerics(base, 0.02, 20) is None
+    assert check_numerics(base, 0.02, 1) is not None

@@ -64,6 +64,10 @@ def test_one_of_two_effects_is_looked_at(tmp_path):
     push = place(problem, "constant_force", "run", Typical(force=1))
     after = fit(problem.with_effects([push, drag]))
     assert [c.variable for c in conditions(after, 1)] == ["qvel/run"]
+    for slot, rest in ((0, drag), (1, push)):
+        work, response = action(after, slot)
+        assert response.problem.effects == (rest,) and (work > 0).any()
+        np.testing.assert_array_equal(response.point.z, after.point.z[[1 - slot]])
 
 
 def test_a_command_can_be_the_condition(tmp_path):
