@@ -16,31 +16,34 @@ class Class:
     """Members that predict alike, simplest first, and their probability together."""
 
     members: tuple[Ranked, ...]
+    alike: tuple[Ranked, ...]  # the members and larger families that gain nothing
     probability: float
 
 
 def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
     """Refined candidates of one slot in equivalence classes, most probable first.
 
-    Members have as many parameters, fit equally well and predict alike. Their prior scales are conventions, so it is
-    the likelihood at the best fit that is compared, not the evidence, which those scales enter.
+    Members fit equally well and predict alike. Their prior scales are conventions, so it is the likelihood at the best
+    fit that is compared, not the evidence, which those scales enter. A family with more parameters that gains nothing by
+    them counts for the class, but only the smallest are its members.
     """
     left = list(slot.ranked)
     chance = dict(zip((id(r) for r in left), probabilities([r.gain for r in left], num_candidates), strict=True))
     found = []
     while left:
         best = left[0]
-        members = [r for r in left if r is best or _equivalent(best, r, share)]
-        left = [r for r in left if not any(r is m for m in members)]
-        members.sort(key=lambda r: r.placed.effect.complexity)
-        found.append(Class(tuple(members), float(sum(chance[id(m)] for m in members))))
+        alike = [r for r in left if r is best or _alike(best, r, share)]
+        left = [r for r in left if not any(r is m for m in alike)]
+        smallest = min(r.placed.size for r in alike)
+        members = sorted((r for r in alike if r.placed.size == smallest), key=lambda r: r.placed.effect.complexity)
+        found.append(Class(tuple(members), tuple(alike), float(sum(chance[id(r)] for r in alike))))
     return sorted(found, key=lambda c: -c.probability)
 
 
-def _equivalent(a: Ranked, b: Ranked, share: float) -> bool:
-    if a.placed.size != b.placed.size:
-        return False
+def _alike(a: Ranked, b: Ranked, share: float) -> bool:
+    """Whether the likelihoods differ by less than chance and the predictions by less than the noise."""
     s2 = max(min(a.fit.noise_scale, b.fit.noise_scale), 1.0)
-    if 0.5 * share * abs(a.fit.chi2 - b.fit.chi2) / s2 > LIKELIHOOD:
+    more = abs(a.placed.size - b.placed.size)  # parameters; each gains half a nat by chance, seldom more than two
+    if 0.5 * share * abs(a.fit.chi2 - b.fit.chi2) / s2 > LIKELIHOOD * (1 + 2 * more):
         return False
     return float(np.sqrt(np.nanmean((whitened(a.fit) - whitened(b.fit)) ** 2) / s2)) < AGREEMENT

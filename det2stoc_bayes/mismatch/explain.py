@@ -125,7 +125,8 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         return Explanation(before, before, (last,), len(pool), 1.0)
     current = _prune(current, needed)
     same = current.problem.segments.count == before.problem.segments.count
-    if len(current.problem.effects) == 1 and same:
+    ranked = {r.placed for r in last.ranked}  # a later effect, left alone once the first was dropped, may not be there
+    if len(current.problem.effects) == 1 and same and current.problem.effects[0] in ranked:
         return Explanation(before, current, (last,), len(pool), effective_share(current))
     before = before if same else _refit(current, ())
     slots = tuple(_judge(current, i, pool, progress) for i in range(len(current.problem.effects)))

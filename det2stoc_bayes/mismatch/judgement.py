@@ -83,7 +83,7 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
 
 
 def _class_of(place: list[Class], placed: PlacedEffect) -> Class:
-    return next(c for c in place if any(m.placed == placed for m in c.members))
+    return next(c for c in place if any(r.placed == placed for r in c.alike))
 
 
 def _share(believed: HeldOut, base: HeldOut, better: HeldOut) -> float:

@@ -284,16 +284,22 @@ def test_a_wrong_prior_is_no_missing_physics(plain, tmp_path):
 
 
 # --- what a study may lack ------------------------------------------------------------------------
-def test_without_holdout(friction, tmp_path):
-    files = {f"holdout/hold_{i:02d}.csv": None for i in (1, 2, 3)}
+def without_holdout(case, folder):
     with pytest.warns(match="holdout"):
-        done = run(friction, tmp_path, files=files)
+        return run(case, folder, files={f"holdout/hold_{i:02d}.csv": None for i in (1, 2, 3)})
+
+
+def test_without_holdout(friction, tmp_path):
+    done, again = (without_holdout(friction, tmp_path / name) for name in ("first", "again"))
     named(done)
     scores = done.finding.fit
     assert scores.difference > 10 and scores.standard_error > 0 and scores.unexplained_share < 0.2
     tree = xr.open_datatree(done.out / "fit.nc")
     assert set(tree["rollouts"].children) == {"rec_01", "rec_02", "rec_03"}
     tree.close()
+    told = [{k: v for k, v in one.text.items() if k != "seconds"} for one in (done, again)]
+    assert told[0] == told[1]  # the same seed, the same diagnosis
+    assert (done.out / "patched.xml").read_text() == (again.out / "patched.xml").read_text()
 
 
 def positions_only(text):
@@ -370,12 +376,3 @@ def test_a_simulation_that_cannot_follow(plain, tmp_path):
     errors = [line for line in shown.stderr.splitlines() if line.startswith("error:")]
     assert len(errors) == 1 and "diverges" in errors[0]
     assert not (tmp_path / "out").exists()
-
-
-# --- repeatable -----------------------------------------------------------------------------------
-def test_a_seed_repeats(spring, tmp_path):
-    again = run(spring.case, tmp_path)
-    told = [{k: v for k, v in one.text.items() if k != "seconds"} for one in (spring, again)]
-    assert told[0] == told[1]
-    for name in ("patched.xml", "effects.py"):
-        assert (spring.out / name).read_text() == (again.out / name).read_text()

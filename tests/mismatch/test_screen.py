@@ -25,7 +25,7 @@ def constant_push(force):
     return lambda model, data: data.qfrc_applied.__setitem__(0, force)
 
 
-@pytest.mark.parametrize("force", [0.0, 0.02, -0.2])
+@pytest.mark.parametrize("force", [0.0, -0.2])
 @pytest.mark.parametrize("name", ["constant_force", "sensor_bias", "joint_spring"])
 def test_evidence_is_that_of_a_dense_regression(tmp_path, name, force):
     """A mass on a spring is linear in a force, so that both are exact; the noise is told a little large: s2 = 1."""
