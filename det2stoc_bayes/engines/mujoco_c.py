@@ -18,6 +18,7 @@ from det2stoc_bayes.segments import TIME_SLACK
 MAX_SIMULATIONS = 4096
 MAX_PERSISTENT = 512  # simulations that keep an MjData each (some 100 KB and more)
 MAX_RECORDED = 24_000_000  # numbers held at once: about 200 MB
+_BAD_STATE = [int(getattr(mujoco.mjtWarning, f"mjWARN_BADQ{x}")) for x in ("POS", "VEL", "ACC")]
 _STATE = mujoco.mjtState
 _SET_CONST_INPUTS = frozenset(mujoco.MjModel._setconst_inputs)
 
@@ -243,7 +244,8 @@ class _Chunk:
             for e in effects:
                 if e.placed.effect.uses("reading"):
                     out[e.rows, :, j] = e.placed.effect.reading(e.parameters, stamps[e.rows], out[e.rows, :, j], np)
-        # A diverged state is no prediction.
+        # A diverged state is no prediction; the batch freezes such a simulation at its last one.
+        out[(self.batch.warning[:, _BAD_STATE, 1] > 0).any(1)] = np.nan
         out[~np.isfinite(out).all((1, 2)) | (np.abs(out).max((1, 2)) > 1e9)] = np.nan
         return out
 

@@ -23,9 +23,9 @@ class Class:
 def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
     """Refined candidates of one slot in equivalence classes, most probable first.
 
-    Members fit equally well and predict alike. Their prior scales are conventions, so it is the likelihood at the best
-    fit that is compared, not the evidence, which those scales enter. A family with more parameters that gains nothing by
-    them counts for the class, but only the smallest are its members.
+    Members fit equally well and predict alike. Their prior scales are conventions, so it is the likelihood at the
+    best fit that is compared, not the evidence, which those scales enter. A family with more parameters that gains
+    nothing by them counts for the class, but only the smallest are its members.
     """
     left = list(slot.ranked)
     chance = dict(zip((id(r) for r in left), probabilities([r.gain for r in left], num_candidates), strict=True))

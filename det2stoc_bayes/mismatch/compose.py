@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from det2stoc_bayes.mismatch import finding
 from det2stoc_bayes.mismatch.effects import CATALOGUE
-from det2stoc_bayes.mismatch.evidence import log_evidence
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
 from det2stoc_bayes.mismatch.experiment import propose
 from det2stoc_bayes.mismatch.heldout import horizon_samples
 from det2stoc_bayes.mismatch.judgement import NEGLIGIBLE, Judgement, Named, excess_beyond_chance
@@ -179,6 +179,9 @@ class Composer:
     def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:
         count = self.judged.found.num_candidates
         text = f"Nothing in the catalogue ({count} candidates) explains the recordings better than the model."
+        inflation = self._inflation()
+        if inflation is not None and inflation > MODEL_ERROR:
+            text += f" But they stay unexplained: the error's variance is {inflation:.3g} times the noise's."
         odd = [n for n, p in psi.items() if isinstance(p.prior_conflict, float) and p.prior_conflict < UNLIKELY]
         if odd:
             text += f" But {', '.join(odd)} lies far out in its prior: the believed value or its prior is wrong."
