@@ -77,12 +77,15 @@ def test_a_difference_in_prediction_parts_them(slot):
     assert all(len(c.members) == 1 for c in classes(replace(slot, ranked=tuple(ranked)), 20, 1.0))
 
 
-def test_more_parameters_are_another_class(slot):
+def test_more_parameters_that_gain_nothing_count_for_the_smaller(slot):
     problem = slot.base.problem
     spring = place(problem, "joint_spring", "slide", SMALL)
     one = slot.ranked[0]
     twin = Ranked(spring, one.fit, one.gain)  # told to predict alike
-    assert [len(c.members) for c in classes(replace(slot, ranked=(one, twin)), 20, 1.0)] == [1, 1]
+    for ranked in ((one, twin), (twin, one)):
+        (only,) = classes(replace(slot, ranked=ranked), 20, 1.0)
+        assert [m.placed for m in only.members] == [one.placed]
+        assert {r.placed for r in only.alike} == {one.placed, spring}
 
 
 def test_nothing_ranked_is_no_class(slot):
