@@ -51,8 +51,11 @@ class Simulator:
     def fields(
         self, psi: Float[np.ndarray, "sims psi"], names: Sequence[str]
     ) -> dict[str, Float[np.ndarray, "sims ..."]]:
-        """Model fields of each simulation; `names` are the recordings they follow."""
+        """Model fields of each simulation; `names` are the recordings they follow, whose known fields win over psi."""
         out = {k: np.broadcast_to(v, (len(psi), *v.shape)).copy() for k, v in self._base.items()}
+        for j, where in enumerate(self.addresses):
+            for place in where.places:
+                out[where.field][(slice(None), *place)] = psi[:, j]
         stems = np.asarray(names)
         for stem, table in self.study.known.items():
             rows = np.flatnonzero(stems == stem)
@@ -63,9 +66,6 @@ class Simulator:
                 )
                 for place, component in zip(where.places, flat, strict=True):
                     out[where.field][(rows, *place)] = component
-        for j, where in enumerate(self.addresses):
-            for place in where.places:
-                out[where.field][(slice(None), *place)] = psi[:, j]
         return out
 
     def rollout(self, request: Request) -> Float[np.ndarray, "sims samples columns"]:

@@ -8,7 +8,7 @@ from dataclasses import astuple
 import mujoco
 import mujoco.batch
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from det2stoc_bayes.engines.base import Counter, EffectRows, Request, Trajectory
 from det2stoc_bayes.engines.layout import column_address
@@ -226,6 +226,12 @@ class _Chunk:
             state = JointState(qpos[rows, at.qpos] + self.lead * speed, speed, time[rows] + self.lead)
             force[rows, at.dof] += e.placed.effect.joint_force(e.parameters, state, np)
 
+    def _frozen(self, speeds: Float[np.ndarray, "sims steps nv"]) -> Bool[np.ndarray, " sims"]:
+        """Simulations that diverged before their own last sample (a shorter one may diverge after it unharmed)."""
+        failed = (self.batch.warning[:, _BAD_STATE, 1] > 0).any(1)
+        last = self.segments.steps(self.dt)[self.which]
+        return failed & (speeds[np.arange(self.count), last] == speeds[:, -1]).all(1)
+
     def _read(self, series: dict[str, np.ndarray]) -> Float[np.ndarray, "sims samples columns"]:
         stamps = self.segments.time[self.which]
         out = np.empty((*stamps.shape, len(self.addresses)))
@@ -245,7 +251,7 @@ class _Chunk:
                 if e.placed.effect.uses("reading"):
                     out[e.rows, :, j] = e.placed.effect.reading(e.parameters, stamps[e.rows], out[e.rows, :, j], np)
         # A diverged state is no prediction; the batch freezes such a simulation at its last one.
-        out[(self.batch.warning[:, _BAD_STATE, 1] > 0).any(1)] = np.nan
+        out[self._frozen(series["qvel"])] = np.nan
         out[~np.isfinite(out).all((1, 2)) | (np.abs(out).max((1, 2)) > 1e9)] = np.nan
         return out
 

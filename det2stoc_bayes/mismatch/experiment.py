@@ -34,8 +34,7 @@ def propose(a: Fit, b: Fit) -> Proposal:
                     )
                     command = f"commands of {name}" + (f" times {scale:g}" if part == "commands" else "")
                     best = Proposal(text, command, start, gain)
-    assert best is not None
-    return best
+    return best or Proposal("Record again with other commands and starts.", "", {}, 0.0)
 
 
 def _gains(a: Fit, b: Fit, part: str, scale: float):
@@ -44,7 +43,7 @@ def _gains(a: Fit, b: Fit, part: str, scale: float):
     if part == "commands":
         scaled = tuple(replace(r, ctrl=scale * r.ctrl) for r in segments.recordings)
         segments = replace(segments, recordings=scaled)
-    predicted = []
+    predicted, starts = [], []
     for fit in (a, b):
         problem = replace(fit.problem, segments=segments)
         start = fit.point.start
@@ -52,6 +51,7 @@ def _gains(a: Fit, b: Fit, part: str, scale: float):
             rest = problem.simulator.model.qpos0
             moved = scale * (start.qpos - rest) if start.qpos.shape[1] == start.qvel.shape[1] else start.qpos - rest
             start = replace(start, qpos=rest + moved, qvel=scale * start.qvel)
+        starts.append(start)
         predicted.append(problem.simulator.rollout(problem.request(fit.point.z[None], start)))
     r = a.problem.residuals(predicted[0]) - a.problem.residuals(predicted[1])
     if not np.isfinite(r).all():
@@ -60,9 +60,5 @@ def _gains(a: Fit, b: Fit, part: str, scale: float):
     x = lin.project(lin.stack(r[..., None]))[..., 0]
     for s, gain in enumerate(0.5 * (x**2).sum(1)):
         name = segments.recordings[segments.recording[s]].name
-        factor = scale if part == "initial state" else 1.0
-        start = {
-            "qpos": (factor * a.point.start.qpos[s]).tolist(),
-            "qvel": (factor * a.point.start.qvel[s]).tolist(),
-        }
+        start = {"qpos": starts[0].qpos[s].tolist(), "qvel": starts[0].qvel[s].tolist()}
         yield name, float(gain), start

@@ -12,6 +12,7 @@ from det2stoc_bayes.segments import cut
 
 WARM_UP = 0.1  # of a stretch: the samples from which its initial state is estimated
 LEAST_WARM_UP = 10  # samples
+DIVERGED = 1e6  # whitened squared error a value at which a diverged rollout is counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +65,9 @@ def _one(fit: Fit, z: np.ndarray, recording: Recording):
     lin = fit_starts(problem, z)
     width = len(segments.columns)
     if lin is None:
-        nothing = np.full((len(recording.time), width), np.nan)
-        return -np.inf, np.inf, 1.0, np.full(width, np.inf), np.ones(width), nothing
+        nothing, values = np.full((len(recording.time), width), np.nan), float(segments.observed.sum())
+        chi2 = DIVERGED * values
+        return -0.5 * chi2, chi2, values, np.full(width, np.inf), np.ones(width), nothing
     _, _, square = lin.gram()
     chi2 = float(square.sum())
     predicted = _rollout(problem, z)
@@ -115,10 +117,15 @@ def leave_one_out(fit: Fit) -> dict[str, np.ndarray]:
 
 
 def held_out(fit: Fit) -> HeldOut:
-    """Scores on the study's held-out recordings, or, where it has none, on each recording left out in turn."""
+    """Scores on the study's held-out recordings, or, where it has none, on each recording left out in turn.
+
+    A single recording is scored as it was fitted: nothing can be left out.
+    """
     study = fit.problem.simulator.study
     if study.holdout:
         return evaluate(fit, dict.fromkeys((r.name for r in study.holdout), fit.point.z), study.holdout)
+    if len(study.recordings) == 1:
+        return fitted(fit)
     return evaluate(fit, leave_one_out(fit), study.recordings)
 
 

@@ -1,6 +1,6 @@
 """From an explanation to a verdict: which additions matter on held-out recordings, and which are certain."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from det2stoc_bayes.mismatch.explain import Explanation, swap, without
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.heldout import HeldOut, held_out
 from det2stoc_bayes.mismatch.numerics import Numerics
-from det2stoc_bayes.optimize import Fit
+from det2stoc_bayes.optimize import Fit, fit_many
 
 NEGLIGIBLE = 0.05  # of the held-out squared error beyond noise
 CHANCE = 3.0  # standard deviations of chi2 by which the held-out error exceeds noise by chance
@@ -59,7 +59,9 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     share = 0.0
     if numerics is not None:
         share = _share(held_before, held_before, held_out(numerics.fit))
-        numerics = numerics if share >= NEGLIGIBLE else None
+        if share < NEGLIGIBLE:
+            numerics, after = None, _at_believed_step(after)
+            whole = held_out(after)
     named, negligible = [], []
     for i, placed in enumerate(after.problem.effects):
         alone = len(after.problem.effects) == 1 and found.before is before
@@ -80,6 +82,12 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     return Judgement(
         verdict, before, after, found, places, tuple(named), tuple(negligible), numerics, share, held_before, held_after
     )
+
+
+def _at_believed_step(fit: Fit) -> Fit:
+    """The same effects under the believed integration."""
+    problem = replace(fit.problem, timestep=None, integrator=None)
+    return fit_many([(problem, fit.point)], tolerance=0.3)[0] or fit
 
 
 def _class_of(place: list[Class], placed: PlacedEffect) -> Class:

@@ -46,7 +46,8 @@ def rollouts(
     for r in recordings:
         observed = np.full((len(r.time), len(columns)), np.nan)
         for j, column in enumerate(r.columns):
-            observed[:, columns.index(column)] = r.values[:, j]
+            if column in columns:  # a held-out recording may have more
+                observed[:, columns.index(column)] = r.values[:, j]
         seen = slice(0, len(before.rollouts[r.name]))
         paths = {"before": before.rollouts[r.name], "after": after.rollouts[r.name]}
         data = {"observed": observed[seen]} | paths
