@@ -113,21 +113,21 @@ def _allowed(fit: Fit) -> bool:
 
 def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None) -> Explanation:
     """Effects are added while the best still earns its evidence, then each is judged with the others in place."""
-    needed, current, last = threshold(len(pool)), before, None
+    needed, current, first = threshold(len(pool)), before, None
     for _ in range(MAX_EFFECTS):
         slot = look(current, pool, progress)
-        last = slot if last is None else last
+        first = slot if first is None else first
         if not slot.ranked or slot.ranked[0].gain < needed:
             break
         current = extend(slot.ranked[0].fit)
-    assert last is not None
+    assert first is not None
     if len(current.problem.effects) == 0:
-        return Explanation(before, before, (last,), len(pool), 1.0)
+        return Explanation(before, before, (first,), len(pool), 1.0)
     current = _prune(current, needed)
     same = current.problem.segments.count == before.problem.segments.count
-    ranked = {r.placed for r in last.ranked}  # a later effect, left alone once the first was dropped, may not be there
+    ranked = {r.placed for r in first.ranked}  # a later effect, left alone once the first was dropped, may not be there
     if len(current.problem.effects) == 1 and same and current.problem.effects[0] in ranked:
-        return Explanation(before, current, (last,), len(pool), effective_share(current))
+        return Explanation(before, current, (first,), len(pool), effective_share(current))
     before = before if same else _refit(current, ())
     slots = tuple(_judge(current, i, pool, progress) for i in range(len(current.problem.effects)))
     return Explanation(before, current, slots, len(pool), effective_share(current))
