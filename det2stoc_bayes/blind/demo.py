@@ -97,6 +97,8 @@ def _element(entry: Mapping[str, Any] | None) -> str:
 def _estimate(entry: Mapping[str, Any] | None) -> str:
     if entry is None:
         return ""
+    if isinstance(entry, str):  # an integrator's name
+        return entry
     interval, mean = entry.get("interval"), entry.get("mean")
     if isinstance(mean, int | float) and interval:
         return f"{mean:.4g} [{interval[0]:.4g}, {interval[1]:.4g}] {entry.get('unit', '')}".replace("[", r"\[", 1)

@@ -125,3 +125,7 @@ def test_demo_reveals_both_sides():
     demo.reveal(case, claim(given, summary="A torque was left out."), console)
     shown = console.export_text()
     assert "constant_force" in shown and "[-9, 9]" in shown and "Right." in shown
+
+
+def test_a_named_value_is_shown_as_it_is():
+    assert demo._estimate("RK4") == "RK4"
