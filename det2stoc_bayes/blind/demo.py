@@ -94,7 +94,7 @@ def _element(entry: Mapping[str, Any] | None) -> str:
     return f"{entry['element']['kind']} {entry['element']['name']}"
 
 
-def _estimate(entry: Mapping[str, Any] | None) -> str:
+def _estimate(entry: Mapping[str, Any] | str | None) -> str:
     if entry is None:
         return ""
     if isinstance(entry, str):  # an integrator's name
