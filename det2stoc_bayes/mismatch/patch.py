@@ -51,30 +51,6 @@ def make_patch(
     return Patch(f"{comment}\n{text.lstrip()}", module_text(effects, fields), files)
 
 
-def patched_model(
-    study: Study,
-    psi: Mapping[str, float],
-    effects: Effects = (),
-    *,
-    timestep: float | None = None,
-    integrator: str | None = None,
-) -> str:
-    """The text of patched.xml; see `make_patch`."""
-    return make_patch(study, psi, effects, timestep=timestep, integrator=integrator).model
-
-
-def effects_module(
-    study: Study,
-    psi: Mapping[str, float],
-    effects: Effects = (),
-    *,
-    timestep: float | None = None,
-    integrator: str | None = None,
-) -> str | None:
-    """The text of effects.py, None where nothing needs it; see `make_patch`."""
-    return make_patch(study, psi, effects, timestep=timestep, integrator=integrator).module
-
-
 def assets(study: Study) -> list[Path]:
     """Meshes, textures, height fields and skins; beside patched.xml they lie as in the study's folder.
 

@@ -9,7 +9,7 @@ import pytest
 from conftest import ARM, FREE, MOTORS, make_study, model_xml
 
 from det2stoc_bayes.errors import ModelError
-from det2stoc_bayes.mismatch.patch import assets, effects_module, make_patch, patched_model
+from det2stoc_bayes.mismatch.patch import assets, make_patch
 from det2stoc_bayes.mismatch.patch_fields import differences
 
 PSI = """
@@ -58,9 +58,9 @@ def test_psi_round_trip(tmp_path):
 def test_missing_and_unknown_psi(tmp_path):
     study = make_study(tmp_path / "study", model_xml(ARM), PSI.split("[psi.gear]")[0])
     with pytest.raises(ModelError, match="psi.mass: no value"):
-        patched_model(study, {"loss": 0.1, "tilt": 0.0})
+        make_patch(study, {"loss": 0.1, "tilt": 0.0})
     with pytest.raises(ModelError, match="psi.gera: no such parameter.*mass, loss, tilt"):
-        patched_model(study, {"mass": 0.1, "loss": 0.1, "tilt": 0.0, "gera": 1.0})
+        make_patch(study, {"mass": 0.1, "loss": 0.1, "tilt": 0.0, "gera": 1.0})
 
 
 SIZES = """
@@ -85,7 +85,7 @@ def test_a_field_is_set_alone(tmp_path):
         f'<mujoco><compiler angle="degree"/><worldbody>{bodies}</worldbody></mujoco>',
         SIZES,
     )
-    model = mujoco.MjModel.from_xml_string(patched_model(study, {"size": 0.2, "centre": 0.03}))
+    model = mujoco.MjModel.from_xml_string(make_patch(study, {"size": 0.2, "centre": 0.03}).model)
     believed = mujoco.MjModel.from_xml_path(str(study.model_path))
     assert set(differences(believed, model)) == {"geom_size", "body_ipos"}
     assert (model.geom_size[0, 0], model.body_ipos[1, 1]) == (0.2, 0.03)
@@ -108,7 +108,7 @@ def test_what_mjcf_cannot_say(tmp_path):
         effects["reset"](model, mujoco.MjData(model))
         assert model.jnt_actfrcrange[1].tolist() == [0.0, 3.0]
     assert "actfrcrange" in patch.model.split("-->")[0]
-    assert (patched_model(study, {"limit": 3.0}), effects_module(study, {"limit": 3.0})) == (
+    assert (make_patch(study, {"limit": 3.0}).model, make_patch(study, {"limit": 3.0}).module) == (
         patch.model,
         patch.module,
     )
