@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import least_squares
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.likelihood import LatentStarts, factorize
@@ -15,6 +16,7 @@ START_STEP = 1e-4  # of a coordinate's spread: finite difference in an initial s
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
 SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
 LARGEST_STEP = 3.0  # prior sds in one iteration
+FARTHEST = 8.0  # prior sds from the median: beyond it double precision ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,8 +208,10 @@ def _height(lin: Linearization, s2: float) -> float:
 
 
 def _moved(lin: Linearization, step: _Step, fraction: float) -> Point:
-    change = lin.latent.best_start(lin.stacked - fraction * (lin.columns @ step.z)[..., None])
-    return Point(lin.point.z + fraction * step.z, lin.problem.moved(lin.point.start, change))
+    z = lin.problem.between(lin.point.z, lin.point.z + step.z, fraction)
+    seen = lin.columns @ lin.problem.straightened(z, lin.point.z)
+    change = lin.latent.best_start(lin.stacked - seen[..., None])
+    return Point(z, lin.problem.moved(lin.point.start, change))
 
 
 def noise_scale(lin: Linearization, chi2: float, free_scale: bool) -> float:
@@ -217,15 +221,40 @@ def noise_scale(lin: Linearization, chi2: float, free_scale: bool) -> float:
 
 
 def _newton_step(lin: Linearization, free_scale: bool) -> _Step:
+    """The most probable point were predictions linear in psi: its bend in z, near a prior's bound, is exact."""
     gram, slope, square = (x.sum(0) for x in lin.gram())
     s2 = noise_scale(lin, float(square), free_scale)
-    precision = gram / s2 + np.eye(lin.problem.size)
-    gradient = slope / s2 - lin.point.z
-    z = np.linalg.solve(precision, gradient) if lin.problem.size else np.zeros(0)
-    z *= min(1.0, LARGEST_STEP / max(np.abs(z).max(initial=0.0), 1e-12))
     r = lin.latent.project(lin.stacked)
     free = float((lin.stacked**2).sum() - (r**2).sum())
-    return _Step(z, 0.5 * float(gradient @ z) + 0.5 * free / s2, s2)
+    z = most_probable(lin.problem, lin.point.z, gram / s2, slope / s2)
+    moved = z - lin.point.z
+    bent = lin.problem.straightened(z, lin.point.z)
+    gain = bent @ slope / s2 - 0.5 * bent @ gram @ bent / s2 - 0.5 * (z @ z - lin.point.z @ lin.point.z)
+    return _Step(moved, max(float(gain), 0.0) + 0.5 * free / s2, s2)
+
+
+def most_probable(
+    problem: Problem,
+    z: Float[np.ndarray, " size"],
+    gram: Float[np.ndarray, "size size"],
+    slope: Float[np.ndarray, " size"],
+) -> Float[np.ndarray, " size"]:
+    """Maximum of the prior times a likelihood that is Gaussian in `straightened` unknowns, within LARGEST_STEP of z."""
+    if not problem.size:
+        return z
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > 1e-14 * max(values[-1], 1e-300)
+    root = np.sqrt(values[keep])[:, None] * vectors[:, keep].T
+    target = (vectors[:, keep].T @ slope) / np.sqrt(values[keep])
+
+    def misfit(x):
+        return np.concatenate([root @ problem.straightened(x, z) - target, x])
+
+    # Priors whose quantiles bend end in double precision; a psi that is already far out may only come back.
+    farthest = np.where(np.arange(problem.size) < problem.num_psi, FARTHEST, np.inf)
+    low = np.minimum(np.maximum(z - LARGEST_STEP, -farthest), z)
+    high = np.maximum(np.minimum(z + LARGEST_STEP, farthest), z)
+    return least_squares(misfit, z, bounds=(low - 1e-9, high + 1e-9), xtol=1e-10, ftol=1e-12).x
 
 
 def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> list[Point | None]:

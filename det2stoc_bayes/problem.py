@@ -76,6 +76,26 @@ class Problem:
         columns = [p.prior.from_normal(z[..., j], xp) for j, p in enumerate(self.simulator.parameters)]
         return xp.stack(columns, -1) if columns else xp.zeros((*z.shape[:-1], 0))
 
+    def straightened(self, z: Float[np.ndarray, " size"], at: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """z - at in coordinates in which psi is linear, of unit slope at `at`: what a prediction linear in psi sees."""
+        out = z - at
+        h = 1e-4
+        for j, p in enumerate(self.simulator.parameters):
+            low, here, high, there = p.prior.from_normal(np.array([at[j] - h, at[j], at[j] + h, z[j]]))
+            out[j] = (there - here) * 2 * h / (high - low)
+        return out
+
+    def between(
+        self, a: Float[np.ndarray, " size"], b: Float[np.ndarray, " size"], fraction: float
+    ) -> Float[np.ndarray, " size"]:
+        """The point on the way from a to b that is straight in psi."""
+        out = a + fraction * (b - a)
+        for j, p in enumerate(self.simulator.parameters):
+            first, last = p.prior.from_normal(np.array([a[j], b[j]]))
+            z = float(p.prior.to_normal(first + fraction * (last - first)))
+            out[j] = z if np.isfinite(z) else out[j]
+        return out
+
     def effect_values(self, z: Array, xp: Any = np) -> list[dict[str, Array]]:
         """Parameters (...) of each effect in their own units from unknowns (..., size) of either library."""
         out, begin = [], self.num_psi
