@@ -4,10 +4,9 @@ log p(y | z) = log normalizer - 1/2 |project(stack(y - prediction(z)))|^2, with 
 at the MAP: every method then has the same target, however it moves.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -124,20 +123,44 @@ class Density:
     def terms_and_grad(
         self, z: Float[np.ndarray, "points size"]
     ) -> tuple[Float[np.ndarray, "points recordings"], Float[np.ndarray, "points size"]]:
-        """log likelihood by recording; its sum's gradient by central differences along posterior axes."""
+        """log likelihood by recording; its sum's gradient by central differences.
+
+        Along posterior axes; where psi varies by recording, along the unknowns, all recordings' own ones at once.
+        """
+        directions = self._directions
         terms, gradients = np.empty((len(z), self.problem.segments.count)), np.empty(z.shape)
-        variants = 1 + 2 * self.size
-        steps = np.concatenate([np.zeros((1, self.size)), STEP * self.scale.T, -STEP * self.scale.T])
+        variants = 1 + 2 * len(directions)
+        steps = np.concatenate([np.zeros((1, self.size)), directions, -directions])
         for rows in self.chunks(len(z), variants):
             projected = self.projected((z[rows, None] + steps).reshape(-1, self.size))
             terms[rows] = self.terms(projected[..., ::variants])
             projected = projected.reshape(*projected.shape[:2], -1, variants)
-            above, below = projected[..., 1 : 1 + self.size], projected[..., 1 + self.size :]
-            slope = np.einsum("snp,snpk->pk", projected[..., 0], above - below) / (2 * STEP)
+            above, below = projected[..., 1 : 1 + len(directions)], projected[..., 1 + len(directions) :]
+            slope = np.einsum("snp,snpk->spk", projected[..., 0], above - below) / 2
             # A neighbour that diverges tells nothing: no force along that axis.
-            gradients[rows] = np.linalg.solve(self.scale.T, -np.nan_to_num(slope, nan=0.0).T).T
+            gradients[rows] = self._along_unknowns(-np.nan_to_num(slope, nan=0.0))
         self.problem.simulator.counter.gradients += len(z)
         return self.by_recording(terms), gradients
+
+    @cached_property
+    def _directions(self) -> Float[np.ndarray, "directions size"]:
+        if not self.problem.unknowns.varying:
+            return STEP * self.scale.T
+        sd = STEP * np.sqrt((self.scale**2).sum(1))
+        return np.stack([np.where(np.isin(np.arange(self.size), p), sd, 0.0) for p in self.problem.probes()])
+
+    def _along_unknowns(
+        self, change: Float[np.ndarray, "segments points directions"]
+    ) -> Float[np.ndarray, "points size"]:
+        """Gradient in z from the change of each segment's term along each direction."""
+        if not self.problem.unknowns.varying:
+            return np.linalg.solve(self.scale.T, change.sum(0).T / STEP).T
+        out = np.empty((change.shape[1], self.size))
+        for k, moved in enumerate(self.problem.probes()):
+            for r, i in enumerate(moved):
+                mine = self.problem.segments.recording == r if len(moved) > 1 else slice(None)
+                out[:, i] = change[mine, :, k].sum(0) / self._directions[k, i]
+        return out
 
     def jax_log_density(self) -> Callable[[Any], Any]:
         """log_density of one z for jax: traceable, chains under vmap in one batch, reverse mode.
@@ -157,15 +180,6 @@ class Density:
         from det2stoc_bayes.density_jax import numpyro_model
 
         return numpyro_model(self, terms)
-
-
-def constrained(problem: Problem, z: Any, xp: ModuleType = np) -> Mapping[str, Any]:
-    """Every unknown by name in its own unit, for arrays (..., size) of either library."""
-    psi = problem.psi(z, xp)
-    values = [psi[..., j] for j in range(problem.num_psi)]
-    for placed, parameters in zip(problem.effects, problem.effect_values(z, xp), strict=True):
-        values += [parameters[p.name] for p in placed.effect.parameters]
-    return dict(zip(problem.names, values, strict=True))
 
 
 def log_prior(z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, " points"]:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from det2stoc_bayes.density import Density, constrained
+from det2stoc_bayes.density import Density
 from det2stoc_bayes.likelihood import residuals
 
 Terms = Callable[[Array], Array]  # z (size) -> log likelihood by recording (recordings)
@@ -158,7 +158,7 @@ def numpyro_model(density: Density, terms: Terms | None = None) -> Callable[[], 
 
     def model() -> None:
         z: Any = numpyro.sample("z", dist.Normal(0.0, 1.0).expand([density.size]).to_event(1))
-        for name, value in constrained(density.problem, z, jnp).items():
+        for name, value in density.problem.constrained(z, jnp).items():
             numpyro.deterministic(name, value)
         numpyro.factor("log_likelihood", terms(z).sum())
 

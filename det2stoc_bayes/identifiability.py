@@ -110,13 +110,12 @@ def _parameters(fit: Fit) -> tuple[CheckedParameter, ...]:
     sd = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(sd, sd)
     middle, above, below = problem.psi(np.stack([z, z + sd, z - sd]))
-    out = []
-    for j, p in enumerate(problem.simulator.parameters):
+    out, blocks = [], problem.unknowns.blocks
+    for k, block in enumerate(blocks):
+        p, j = block.parameter, block.begin
         ratio = float(sd[j])  # of a standard normal, whose prior sd is 1
         verdict: Verdict = "identifiable" if ratio < IDENTIFIABLE else "weak" if ratio < WEAK else "not identifiable"
-        others = tuple(
-            q.name for k, q in enumerate(problem.simulator.parameters) if k != j and abs(correlation[j, k]) > ENTANGLED
-        )
-        spread = float(abs(above[j] - below[j]) / 2)
-        out.append(CheckedParameter(p.name, float(middle[j]), spread, ratio, verdict, others))
+        others = tuple(b.parameter.name for b in blocks if b is not block and abs(correlation[j, b.begin]) > ENTANGLED)
+        spread = float(abs(above[k] - below[k]) / 2)
+        out.append(CheckedParameter(p.name, float(middle[k]), spread, ratio, verdict, others))
     return tuple(out)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -15,8 +16,9 @@ UNKNOWN_STEP = 1e-3  # of a prior sd: finite difference in an unknown
 START_STEP = 1e-4  # of a coordinate's spread: finite difference in an initial state
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
 SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
+NUM_RESPREADS = 8  # rounds in which the spreads of psi by recording settle
 LARGEST_STEP = 3.0  # prior sds in one iteration
-FARTHEST = 8.0  # prior sds from the median: beyond it double precision ends
+FARTHEST = 6.0  # prior sds of psi from its median: beyond it a bounded prior's quantiles lose their digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,25 +88,30 @@ def start_point(problem: Problem, z: Float[np.ndarray, " size"] | None = None) -
     return Point(np.zeros(problem.size) if z is None else np.asarray(z, float), problem.guess.start)
 
 
-def linearize(points: Sequence[tuple[Problem, Point]], *, unknowns: bool = True) -> list[Linearization | None]:
+def linearize(
+    points: Sequence[tuple[Problem, Point]], *, unknowns: Literal["all", "own"] = "all"
+) -> list[Linearization | None]:
     """Predictions and finite-difference sensitivities of every hypothesis in one batch; None where they diverge.
 
-    Without `unknowns` only the sensitivities to the initial states are computed, and the others are left empty.
+    With "own" only what belongs to single recordings (starts, values of a psi that varies) is moved; the columns of
+    the other unknowns are zero.
     """
     requests = []
     for problem, point in points:
-        states = problem.guess.scale.shape[0]
-        variants = 1 + states + (problem.size if unknowns else 0)
+        states, probes = problem.guess.scale.shape[0], problem.probes(unknowns)
+        variants = 1 + states + len(probes)
         start = repeat_start(point.start, variants)
         change = np.zeros((variants, problem.segments.count, states))
         change[1 + np.arange(states), :, np.arange(states)] = (START_STEP * problem.guess.scale)[:, None]
         z = np.tile(point.z, (variants, 1))
-        if unknowns:
-            z[1 + states + np.arange(problem.size), np.arange(problem.size)] += UNKNOWN_STEP
-        moved = problem.moved(start, change.reshape(-1, states))
-        requests.append(problem.request(z, moved))
+        for k, moved in enumerate(probes):
+            z[1 + states + k, moved] += UNKNOWN_STEP
+        requests.append(problem.request(z, problem.moved(start, change.reshape(-1, states))))
     predicted = _simulate(points, requests)
-    return [_assemble(problem, point, p) for (problem, point), p in zip(points, predicted, strict=True)]
+    return [
+        _assemble(problem, point, p, problem.probes(unknowns))
+        for (problem, point), p in zip(points, predicted, strict=True)
+    ]
 
 
 def _simulate(points, requests) -> list[np.ndarray]:
@@ -113,7 +120,7 @@ def _simulate(points, requests) -> list[np.ndarray]:
     return np.split(predicted, np.cumsum([len(r.which) for r in requests])[:-1])
 
 
-def _assemble(problem: Problem, point: Point, predicted: np.ndarray) -> Linearization | None:
+def _assemble(problem: Problem, point: Point, predicted: np.ndarray, probes) -> Linearization | None:
     states, count = problem.guess.scale.shape[0], problem.segments.count
     base = predicted[:count]
     if not np.isfinite(base).all():
@@ -121,7 +128,14 @@ def _assemble(problem: Problem, point: Point, predicted: np.ndarray) -> Lineariz
     r = problem.residuals(predicted).reshape(-1, count, problem.weight.shape[1])
     change = np.nan_to_num(r[0] - r[1:])  # a perturbation that diverges tells nothing
     a = np.moveaxis(change[:states], 0, -1) / (START_STEP * problem.guess.scale)
-    j = np.moveaxis(change[states:], 0, -1) / UNKNOWN_STEP
+    j = np.zeros((*change.shape[1:], problem.size))
+    for moved, column in zip(probes, change[states:] / UNKNOWN_STEP, strict=True):
+        if len(moved) == 1:
+            j[..., moved[0]] = column
+            continue
+        for k, i in enumerate(moved):
+            mine = problem.segments.recording == k
+            j[mine, :, i] = column[mine]
     latent = factorize(a, problem.weight, problem.guess.prior_sd)
     offset = _tangent(problem, point.start)[..., None]
     return Linearization(problem, point, latent, latent.stack(r[0][..., None], offset), latent.stack(j))
@@ -147,8 +161,28 @@ def fit_many(
     """Most probable unknowns of every hypothesis; None where its simulations diverge from the start.
 
     `tolerance` is the expected gain in nats at which an iteration is the last. With `free_scale` a misfit beyond the
-    noise widens the noise (s2 >= 1), so that the prior is not swamped by model error.
+    noise widens the noise (s2 >= 1), so that the prior is not swamped by model error. Spreads of psi that varies by
+    recording, where the problem holds them, end at their marginal's maximum.
     """
+    from det2stoc_bayes.populations import better_spreads, respread
+
+    options = {"tolerance": tolerance, "free_scale": free_scale}
+    fits = _fit_held(points, max_iterations=max_iterations, **options)
+    for _ in range(NUM_RESPREADS if max_iterations else 0):
+        wider = {i: better_spreads(f) for i, f in enumerate(fits) if f is not None}
+        again = {i: respread(fits[i], spreads) for i, spreads in wider.items() if spreads is not None}  # type: ignore
+        if not again:
+            break
+        found = _fit_held(list(again.values()), max_iterations=max(max_iterations // 2, 1), **options)
+        for i, f in zip(again, found, strict=True):
+            fits[i] = f if f is not None else fits[i]
+    return fits
+
+
+def _fit_held(
+    points: Sequence[tuple[Problem, Point]], *, max_iterations: int, tolerance: float, free_scale: bool
+) -> list[Fit | None]:
+    """Gauss-Newton with the spreads held."""
     linear = {i: lin for i, lin in enumerate(linearize(points)) if lin is not None}
     done = dict.fromkeys(linear, False)
     for _ in range(max_iterations):
@@ -189,18 +223,31 @@ def _improved(linear, steps, trials, tolerance) -> dict[int, Linearization | Non
 
 
 def fit_starts(problem: Problem, z: Float[np.ndarray, " size"], *, num_iterations: int = 4) -> Linearization | None:
-    """The most probable initial states under fixed unknowns; None where the simulation diverges."""
+    """The most probable initial states, and values of psi by recording, under the other unknowns as they are.
+
+    None where the simulation diverges.
+    """
     point = start_point(problem, z)
-    lin = linearize([(problem, point)], unknowns=False)[0]
+    lin = linearize([(problem, point)], unknowns="own")[0]
     for _ in range(num_iterations):
         if lin is None:
             return None
-        moved = Point(point.z, problem.moved(lin.point.start, lin.latent.best_start(lin.stacked)))
-        after = linearize([(problem, moved)], unknowns=False)[0]
+        after = linearize([(problem, _moved(lin, _own_step(lin), 1.0))], unknowns="own")[0]
         if after is None or _height(after, 1.0) >= _height(lin, 1.0) - 1e-3:
             return lin
         lin = after
     return lin
+
+
+def _own_step(lin: Linearization) -> "_Step":
+    """Newton's step in the values of psi by recording alone."""
+    own = np.concatenate([np.arange(0), *(np.arange(r.start, r.stop) for _, r in lin.problem.unknowns.own())])
+    step = np.zeros(lin.problem.size)
+    if len(own):
+        gram, slope, _ = (x.sum(0) for x in lin.gram())
+        precision = gram[np.ix_(own, own)] + np.eye(len(own))
+        step[own] = np.clip(np.linalg.solve(precision, slope[own] - lin.point.z[own]), -LARGEST_STEP, LARGEST_STEP)
+    return _Step(step, 0.0, 1.0)
 
 
 def _height(lin: Linearization, s2: float) -> float:

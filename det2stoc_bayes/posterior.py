@@ -17,7 +17,7 @@ import xarray as xr
 from jaxtyping import Float
 from xarray import DataTree as DataTree  # what every method returns; only here and in reports is xarray imported
 
-from det2stoc_bayes.density import Density, constrained, log_prior
+from det2stoc_bayes.density import Density, log_prior
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import replacing
 from det2stoc_bayes.problem import Problem
@@ -83,17 +83,14 @@ def build(
     """The DataTree of draws z. A statistic is an array (chain, draw), or (dimensions, array)."""
     problem, lead = density.problem, ("chain", "draw")
     flat = z.reshape(-1, density.size)
-    draws = {
-        variable_name(name): (lead, np.asarray(values).reshape(z.shape[:2]))
-        for name, values in constrained(problem, flat).items()
-    }
+    draws = named_draws(problem, z)
     lp = (log_likelihood.sum(-1).reshape(-1) + log_prior(flat)).reshape(z.shape[:2])
     stats = {"lp": lp} | dict(sample_stats)
     recording = [r.name for r in problem.segments.recordings]
     cost.stop(problem)
     groups = {
-        "posterior": xr.Dataset(draws),
-        "unconstrained_posterior": xr.Dataset({"z": ((*lead, "unknown"), z)}, {"unknown": list(draws)}),
+        "posterior": xr.Dataset(draws, {"recording": recording} if problem.unknowns.varying else {}),
+        "unconstrained_posterior": xr.Dataset({"z": ((*lead, "unknown"), z)}, {"unknown": list(problem.names)}),
         "sample_stats": xr.Dataset({k: v if isinstance(v, tuple) else (lead, np.asarray(v)) for k, v in stats.items()}),
         "observed_data": observed_data(problem),
         "log_likelihood": xr.Dataset({"values": ((*lead, "recording"), log_likelihood)}, {"recording": recording}),
@@ -118,6 +115,19 @@ def build(
 def variable_name(name: str) -> str:
     """An unknown's name in a DataTree, where a slash would mean a group."""
     return name.replace("/", ".")
+
+
+def named_draws(
+    problem: Problem, z: Float[np.ndarray, "chain draw size"], rename: Callable[[str], str] = variable_name
+) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Draws in their own units; a psi that varies is one variable with dim recording, beside `_mu` and `_sigma`."""
+    lead, values = ("chain", "draw"), problem.constrained(z)
+    out: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
+    for block in problem.unknowns.varying:
+        name = block.parameter.name
+        own = [values.pop(f"{name}[{r}]") for r in problem.unknowns.recordings]
+        out[rename(name)] = ((*lead, "recording"), np.stack(own, -1))
+    return {rename(n): (lead, np.asarray(v)) for n, v in values.items()} | out
 
 
 def observed_data(problem: Problem) -> xr.Dataset:

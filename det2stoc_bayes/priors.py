@@ -201,7 +201,7 @@ def _arguments(family: str, given: Mapping[str, Any], where: str) -> dict[str, f
 def _refuse_remote(arguments: Mapping[str, float], low: float, high: float, where: str) -> None:
     """Bounds so far from loc that the normal between them is 0 to machine precision leave no distribution."""
     loc, scale = arguments["loc"], arguments["scale"]
-    if not quantiles.tail_masses((low - loc) / scale, (high - loc) / scale)[2] > 1e-280:
+    if not quantiles.tail_masses((low - loc) / scale, (high - loc) / scale, quantiles.library(np))[2] > 1e-280:
         raise StudyError(
             f"{where}: found loc = {loc:g}, scale = {scale:g} with bounds {low:g} to {high:g}, more than "
             "35 scales away; allowed: bounds near loc"

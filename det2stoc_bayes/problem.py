@@ -7,20 +7,20 @@ functions, so that the prior is N(0, I) whatever the study's priors are.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.engines.layout import integrate_positions, quaternion_groups
-from det2stoc_bayes.errors import MethodNotApplicable
 from det2stoc_bayes.likelihood import residuals
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 from det2stoc_bayes.noise import noise_sd
 from det2stoc_bayes.segments import Segments, cut
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.starts import StartGuess, guess_starts
+from det2stoc_bayes.unknowns import Unknowns, carried, first_spreads, lay_out
 
 Array = Any  # numpy or jax array
 
@@ -36,11 +36,18 @@ class Problem:
     effects: tuple[PlacedEffect, ...] = ()
     timestep: float | None = None
     integrator: str | None = None
+    spreads: tuple[float, ...] | None = ()  # sigma of each psi that varies by recording; None: unknowns, too
+
+    @cached_property
+    def unknowns(self) -> Unknowns:
+        """Which of z belong to which psi."""
+        names = [r.name for r in self.segments.recordings]
+        return lay_out(self.simulator.parameters, names, self.spreads)
 
     @property
     def num_psi(self) -> int:
-        """Number of simulator parameters."""
-        return len(self.simulator.parameters)
+        """Number of unknowns of the simulator's parameters."""
+        return self.unknowns.size
 
     @property
     def size(self) -> int:
@@ -49,9 +56,9 @@ class Problem:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """psi by name, then `<effect>[<element>].<parameter>`."""
+        """psi's unknowns, then `<effect>[<element>].<parameter>`."""
         added = [f"{e.key}.{p.name}" for e in self.effects for p in e.effect.parameters]
-        return (*(p.name for p in self.simulator.parameters), *added)
+        return (*self.unknowns.names, *added)
 
     @cached_property
     def quaternions(self) -> list[list[int]]:
@@ -71,18 +78,27 @@ class Problem:
         """The same hypothesis on other samples."""
         return replace(self, segments=segments, guess=guess_starts(self.simulator.model, segments))
 
+    def carry(self, z: Float[np.ndarray, " size"], to: "Problem") -> Float[np.ndarray, " new_size"]:
+        """These unknowns in the layout of the same hypothesis on other recordings or with other spreads."""
+        return carried(z, self.unknowns, to.unknowns)
+
     def psi(self, z: Array, xp: Any = np) -> Array:
-        """Simulator parameters (..., psi) in their own units from unknowns (..., size) of either library."""
-        columns = [p.prior.from_normal(z[..., j], xp) for j, p in enumerate(self.simulator.parameters)]
-        return xp.stack(columns, -1) if columns else xp.zeros((*z.shape[:-1], 0))
+        """Simulator parameters (..., psi) from unknowns (..., size) of either library; a population's mean."""
+        return self.unknowns.population(z, xp)
+
+    def psi_by_segment(self, z: Array, xp: Any = np) -> Array:
+        """Simulator parameters of every segment (..., segments, psi), in their own units."""
+        return self.unknowns.by_recording(z, xp)[..., self.segments.recording, :]
 
     def straightened(self, z: Float[np.ndarray, " size"], at: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
         """z - at in coordinates in which psi is linear, of unit slope at `at`: what a prediction linear in psi sees."""
         out = z - at
         h = 1e-4
-        for j, p in enumerate(self.simulator.parameters):
-            low, here, high, there = p.prior.from_normal(np.array([at[j] - h, at[j], at[j] + h, z[j]]))
-            out[j] = (there - here) * 2 * h / (high - low)
+        for b in self.unknowns.blocks:
+            j, prior = b.begin, b.parameter.prior
+            low, here, high, there = prior.from_normal(np.array([at[j] - h, at[j], at[j] + h, z[j]]))
+            if high > low:  # at a bound's very edge psi stands still in double precision
+                out[j] = (there - here) * 2 * h / (high - low)
         return out
 
     def between(
@@ -90,11 +106,23 @@ class Problem:
     ) -> Float[np.ndarray, " size"]:
         """The point on the way from a to b that is straight in psi."""
         out = a + fraction * (b - a)
-        for j, p in enumerate(self.simulator.parameters):
-            first, last = p.prior.from_normal(np.array([a[j], b[j]]))
-            z = float(p.prior.to_normal(first + fraction * (last - first)))
+        for block in self.unknowns.blocks:
+            j, prior = block.begin, block.parameter.prior
+            first, last = prior.from_normal(np.array([a[j], b[j]]))
+            z = float(prior.to_normal(first + fraction * (last - first)))
             out[j] = z if np.isfinite(z) else out[j]
         return out
+
+    def probes(self, unknowns: Literal["all", "own"] = "all") -> list[Int[np.ndarray, " moved"]]:
+        """Unknowns to move together in a finite difference: values of different recordings never meet in a prediction.
+
+        "own": only those that belong to single recordings.
+        """
+        together = [np.arange(rows.start, rows.stop) for _, rows in self.unknowns.own()]
+        if unknowns == "own":
+            return together
+        own = {int(i) for rows in together for i in rows}
+        return [*(np.array([i]) for i in range(self.size) if i not in own), *together]
 
     def effect_values(self, z: Array, xp: Any = np) -> list[dict[str, Array]]:
         """Parameters (...) of each effect in their own units from unknowns (..., size) of either library."""
@@ -104,17 +132,18 @@ class Problem:
             begin += effect.size
         return out
 
-    def constrained(self, z: Float[np.ndarray, "points size"]) -> dict[str, Float[np.ndarray, " points"]]:
-        """Every unknown by name in its own unit."""
-        values = list(np.moveaxis(self.psi(z), -1, 0))
-        for placed, parameters in zip(self.effects, self.effect_values(z), strict=True):
-            values += [parameters[p.name] for p in placed.effect.parameters]
-        return dict(zip(self.names, values, strict=True))
+    def constrained(self, z: Array, xp: Any = np) -> dict[str, Array]:
+        """Every unknown by name in its own unit, for arrays (..., size) of either library."""
+        out = self.unknowns.constrained(z, xp)
+        for placed, parameters in zip(self.effects, self.effect_values(z, xp), strict=True):
+            out |= {f"{placed.key}.{p.name}": parameters[p.name] for p in placed.effect.parameters}
+        return out
 
     def request(self, z: Float[np.ndarray, "variants size"], start: Start) -> Request:
         """Simulations of every segment for every variant of the unknowns; rows are variant-major."""
         which = np.tile(np.arange(self.segments.count), len(z))
         names = [self.segments.recordings[self.segments.recording[w]].name for w in which]
+        psi = self.psi_by_segment(z).reshape(len(which), len(self.simulator.parameters))
         z = np.repeat(z, self.segments.count, axis=0)
         everywhere = slice(0, len(which))
         effects = tuple(
@@ -125,7 +154,7 @@ class Problem:
             self.segments,
             which,
             start,
-            self.simulator.fields(self.psi(z), names),
+            self.simulator.fields(psi, names),
             effects,
             self.timestep,
             self.integrator,
@@ -147,19 +176,11 @@ class Problem:
 
 
 def make_problem(simulator: Simulator, *, num_samples: int | None = None, noise=None) -> Problem:
-    """A study's recordings cut into segments of `num_samples` samples (None: whole recordings).
-
-    Raises MethodNotApplicable for a psi that varies from recording to recording.
-    """
-    for p in simulator.parameters:
-        if p.varies != "never":
-            raise MethodNotApplicable(
-                f'{simulator.study.name}: psi.{p.name}.varies is "{p.varies}", for which there is no likelihood; '
-                'allowed: "never"'
-            )
+    """A study's recordings cut into segments of `num_samples` samples (None: whole recordings)."""
     segments = cut(simulator.study.recordings, num_samples)
     sd = noise_sd(segments, simulator.study.noise) if noise is None else noise
-    return Problem(simulator, segments, sd, guess_starts(simulator.model, segments))
+    spreads = first_spreads(simulator.parameters)
+    return Problem(simulator, segments, sd, guess_starts(simulator.model, segments), spreads=spreads)
 
 
 def repeat_start(start: Start, times: int) -> Start:

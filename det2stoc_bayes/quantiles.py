@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy import special
 
 Array = Any  # numpy's or jax's; jax is not imported here
-Arguments = dict[str, float]
+Arguments = dict[str, Any]  # floats, or arrays that broadcast with z
 
 
 class Library(NamedTuple):
@@ -53,7 +53,7 @@ def normal(a: Arguments, z: Array, lib: Library) -> Array:
 def truncated_normal(a: Arguments, z: Array, lib: Library) -> Array:
     """From the lower tail where the draw lies below loc, from the upper tail where it lies above."""
     low, high = a.get("low", -math.inf), a.get("high", math.inf)
-    below, above, mass = tail_masses((low - a["loc"]) / a["scale"], (high - a["loc"]) / a["scale"])
+    below, above, mass = tail_masses((low - a["loc"]) / a["scale"], (high - a["loc"]) / a["scale"], lib)
     p = below + lib.special.ndtr(z) * mass
     lower = p <= 0.5
     tail = lib.xp.where(lower, p, above + lib.special.ndtr(-z) * mass)
@@ -62,10 +62,12 @@ def truncated_normal(a: Arguments, z: Array, lib: Library) -> Array:
     return lib.xp.clip(a["loc"] + a["scale"] * lib.xp.where(lower, distance, -distance), low, high)
 
 
-def tail_masses(low: float, high: float) -> tuple[float, float, float]:
+def tail_masses(low: Array, high: Array, lib: Library) -> tuple[Array, Array, Array]:
     """What a standard normal has below low, above high and between."""
-    between = special.ndtr(-low) - special.ndtr(-high) if low > 0 else special.ndtr(high) - special.ndtr(low)
-    return float(special.ndtr(low)), float(special.ndtr(-high)), float(between)
+    ndtr = lib.special.ndtr
+    low, high = lib.xp.asarray(low), lib.xp.asarray(high)
+    between = lib.xp.where(low > 0, ndtr(-low) - ndtr(-high), ndtr(high) - ndtr(low))
+    return ndtr(low), ndtr(-high), between
 
 
 def half_normal(a: Arguments, z: Array, lib: Library) -> Array:

@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from det2stoc_bayes.density import Density
 from det2stoc_bayes.density_jax import HasGradient, Remembered, Terms, count, jax_terms
-from det2stoc_bayes.map import Expansion, find_map, find_mode
+from det2stoc_bayes.map import Expansion, expand, find_map, find_mode
+from det2stoc_bayes.populations import freed
 from det2stoc_bayes.posterior import Cost, Progress
 from det2stoc_bayes.problem import Problem
 
@@ -38,8 +39,16 @@ def numpy_random(key: jax.Array) -> np.random.Generator:
 
 
 def mode_of(problem: Problem) -> Expansion:
-    """The density's maximum with the MAP's initial states integrated out, and its shape there."""
-    return find_mode(Density.at(find_map(problem)))
+    """The density's maximum with the MAP's initial states integrated out, and its shape there.
+
+    Where psi varies by recording the joint maximum is no place to start (a wide population of equal values): the
+    point where sigma's marginal is highest is taken, and sigma becomes an unknown.
+    """
+    found = find_map(problem)
+    if problem.unknowns.varying:
+        density = Density.at(freed(found))
+        return expand(density, density.center, density.scale)
+    return find_mode(Density.at(found))
 
 
 def normal_draws(mode: Expansion, random: np.random.Generator, *shape: int) -> Float[np.ndarray, "*shape size"]:

@@ -46,14 +46,15 @@ def fit(
     key = as_key(key)
     with measured(problem) as cost:
         mode, random = mode_of(problem), numpy_random(key)
-        walkers = num_walkers or max(4 * problem.size, 16)
-        remembered = Remembered(mode.density, mode.density)
+        density = mode.density
+        walkers = num_walkers or max(4 * density.size, 16)
+        remembered = Remembered(density, density)
 
         def log_density(z):
             return remembered.values(z).sum(1) + log_prior(z)
 
         moves = [(emcee.moves.DEMove(), 1 - SHARE), (emcee.moves.MHMove(_independent(mode)), SHARE)]
-        sampler = emcee.EnsembleSampler(walkers, problem.size, log_density, vectorize=True, moves=moves)
+        sampler = emcee.EnsembleSampler(walkers, density.size, log_density, vectorize=True, moves=moves)
         sampler.random_state = np.random.RandomState(random.integers(2**32 - 1)).get_state()
         draws = per_chain(num_samples, walkers)
         time, converged = _run(
@@ -73,7 +74,7 @@ def fit(
             "steps": ((), sampler.iteration),
             "converged": ((), converged),
         }
-        terms = remembered.values(z.reshape(-1, problem.size)).reshape(*z.shape[:2], -1)
+        terms = remembered.values(z.reshape(-1, density.size)).reshape(*z.shape[:2], -1)
         return build(
             mode.density,
             z,

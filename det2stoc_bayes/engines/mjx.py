@@ -120,12 +120,14 @@ class _Predict:
         self._problem, segments = problem, problem.segments
         names = [segments.recordings[r].name for r in segments.recording]
         examples = np.random.default_rng(0).standard_normal((3, problem.size))
-        fields = [problem.simulator.fields(np.repeat(problem.psi(z[None]), segments.count, 0), names) for z in examples]
+        fields = [problem.simulator.fields(problem.psi_by_segment(z), names) for z in examples]
         merged = {name: np.concatenate([f[name] for f in fields]) for name in fields[0]}
         self._one, _ = engine.simulation(
             segments.columns, problem.effects, merged, problem.timestep, problem.integrator
         )
         self._fields = {name: jnp.asarray(value) for name, value in fields[0].items()}
+        # Where a recording's known value stands, psi says nothing.
+        self._open = {name: np.any([f[name] != fields[0][name] for f in fields], axis=0) for name in fields[0]}
         farthest = [problem.effect_values(np.full((1, problem.size), s)) for s in (-FARTHEST, FARTHEST)]
         self._before = max(_num_before(problem.effects, values, self._one.dt) for values in farthest)
         num_steps = int(segments.steps(self._one.dt).max())
@@ -137,11 +139,13 @@ class _Predict:
     def __call__(
         self, z: Float[Array, " size"], change: Float[Array, "segments states"] | None = None
     ) -> Float[Array, "segments samples columns"]:
-        psi, parameters = self._problem.psi(z, jnp), self._problem.effect_values(z, jnp)
+        psi, parameters = self._problem.psi_by_segment(z, jnp), self._problem.effect_values(z, jnp)
         fields = dict(self._fields)
         for j, where in enumerate(self._problem.simulator.addresses):
             for place in where.places:
-                fields[where.field] = fields[where.field].at[(slice(None), *place)].set(psi[j])
+                at = (slice(None), *place)
+                value = jnp.where(self._open[where.field][at], psi[:, j], fields[where.field][at])
+                fields[where.field] = fields[where.field].at[at].set(value)
         start = self._start if change is None else jax.vmap(self._moved)(self._start, change)
         run = jax.vmap(lambda s, t, u, f: self._one(s, t, u, f, parameters, self._before))
         return run(start, self._time, self._ctrl, fields)

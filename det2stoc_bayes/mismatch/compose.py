@@ -156,7 +156,8 @@ class Composer:
         before, after = judged.before.problem.psi(self.z_before), judged.after.problem.psi(self.z_after)
         for j, p in enumerate(self.study.parameters):
             moments = [finding.Moments(mean=float(x[:, j].mean()), sd=float(x[:, j].std())) for x in (before, after)]
-            tail = 2 * float(norm.sf(abs(judged.after.point.z[j])))
+            z = judged.after.point.z[judged.after.problem.unknowns.blocks[j].begin]
+            tail = 2 * float(norm.sf(abs(z)))
             out[p.name] = finding.PsiChange(before=moments[0], after=moments[1], prior_conflict=min(tail, 1.0))
         return out
 

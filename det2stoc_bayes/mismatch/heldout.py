@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.optimize import Fit, fit_starts
+from det2stoc_bayes.optimize import Fit, Linearization, fit_starts
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.recording import Recording
 from det2stoc_bayes.segments import cut
@@ -62,14 +62,14 @@ def _one(fit: Fit, z: np.ndarray, recording: Recording):
     """Log density, chi2 and its count, squared rollout errors and their counts, rollout of one recording."""
     segments = cut((recording,), horizon_samples(fit), fit.problem.segments.columns)
     problem = fit.problem.on(segments)
+    z = fit.problem.carry(z, problem)
     lin = fit_starts(problem, z)
     width = len(segments.columns)
     if lin is None:
         nothing, values = np.full((len(recording.time), width), np.nan), float(segments.observed.sum())
         chi2 = DIVERGED * values
         return -0.5 * chi2, chi2, values, np.full(width, np.inf), np.ones(width), nothing
-    _, _, square = lin.gram()
-    chi2 = float(square.sum())
+    chi2, normalizer = own_integrated(lin)
     predicted = _rollout(problem, z)
     error = problem.residuals(predicted).reshape(segments.values.shape)
     counted = segments.observed.copy()
@@ -78,13 +78,22 @@ def _one(fit: Fit, z: np.ndarray, recording: Recording):
     error = np.where(counted, error, 0.0)
     path = np.concatenate([p[:n] for p, n in zip(predicted, segments.lengths, strict=True)])
     return (
-        lin.latent.log_normalizer - 0.5 * chi2,
+        normalizer - 0.5 * chi2,
         chi2,
         float(lin.degrees_of_freedom),
         (error**2).sum((0, 1)),
         counted.sum((0, 1)).astype(float),
         path,
     )
+
+
+def own_integrated(lin: Linearization) -> tuple[float, float]:
+    """chi2 and log normalizer with starts and values of psi by recording integrated out."""
+    gram, _, square = (x.sum(0) for x in lin.gram())
+    own = np.concatenate([np.arange(0), *(np.arange(r.start, r.stop) for _, r in lin.problem.unknowns.own())])
+    chi2 = float(square) + float((lin.point.z[own] ** 2).sum())
+    log_det = np.linalg.slogdet(gram[np.ix_(own, own)] + np.eye(len(own)))[1] if len(own) else 0.0
+    return chi2, lin.latent.log_normalizer - 0.5 * float(log_det)
 
 
 def _warm(length: int) -> int:
@@ -98,8 +107,9 @@ def _rollout(problem: Problem, z: np.ndarray) -> Float[np.ndarray, "segments sam
     for s in range(segments.count):
         first[s, _warm(int(segments.lengths[s])) :] = np.nan
     lin = fit_starts(replace(problem, segments=replace(segments, values=first)), z)
-    start = problem.guess.start if lin is None else lin.point.start
-    return problem.simulator.rollout(problem.request(z[None], start))
+    if lin is None:
+        return problem.simulator.rollout(problem.request(z[None], problem.guess.start))
+    return problem.simulator.rollout(problem.request(lin.point.z[None], lin.point.start))
 
 
 def leave_one_out(fit: Fit) -> dict[str, np.ndarray]:

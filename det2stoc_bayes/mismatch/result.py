@@ -9,6 +9,7 @@ from det2stoc_bayes.mismatch.finding import variable_name
 from det2stoc_bayes.mismatch.heldout import HeldOut
 from det2stoc_bayes.mismatch.where import Condition
 from det2stoc_bayes.optimize import Fit
+from det2stoc_bayes.posterior import named_draws
 from det2stoc_bayes.recording import Recording
 
 __all__ = ["DataTree", "posterior", "rollouts", "screening"]
@@ -18,10 +19,9 @@ NUM_CHAINS = 4
 
 def posterior(fit: Fit, z: np.ndarray) -> xr.Dataset:
     """Draws of psi and effect parameters by name, dims chain and draw."""
-    out = {}
-    for name, values in fit.problem.constrained(z).items():
-        out[_variable(name)] = (("chain", "draw"), values.reshape(NUM_CHAINS, -1))
-    return xr.Dataset(out)
+    problem = fit.problem
+    names = {"recording": list(problem.unknowns.recordings)} if problem.unknowns.varying else {}
+    return xr.Dataset(named_draws(problem, z.reshape(NUM_CHAINS, -1, problem.size), _variable), names)
 
 
 def _variable(name: str) -> str:

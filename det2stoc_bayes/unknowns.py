@@ -1,0 +1,171 @@
+"""Which unknown is what: a psi that never varies is one, a psi that varies by recording is a population's.
+
+For psi that varies, psi_k ~ Normal(mu, sigma) truncated to the prior's support, with mu ~ prior and
+sigma ~ HalfNormal(sd of the prior / 2), written with standard normals alone: z_mu, e_k (and z_sigma).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from det2stoc_bayes.priors import Prior
+from det2stoc_bayes.quantiles import library, truncated_normal
+from det2stoc_bayes.study import Parameter
+
+Array = Any  # numpy or jax array
+LEAST_SPREAD = 1e-3  # of the prior's sd: a population narrower than this is one value
+
+
+@dataclass(frozen=True)
+class Block:
+    """The unknowns of one psi: `mu`, then `sigma` where it is unknown, then one for each recording."""
+
+    parameter: Parameter
+    begin: int
+    recordings: int  # 0: never varies
+    spread: float | None  # sigma where it is held; None: unknown, or nothing varies
+
+    @property
+    def varies(self) -> bool:
+        """Whether each recording has its own value."""
+        return self.recordings > 0
+
+    @property
+    def first_own(self) -> int:
+        """Index of the first recording's own unknown."""
+        return self.begin + (1 if self.spread is not None else 2)
+
+    @property
+    def stop(self) -> int:
+        """Index after the block."""
+        return self.first_own + self.recordings if self.varies else self.begin + 1
+
+    @property
+    def sigma_prior(self) -> Prior:
+        """Of the population's sd."""
+        return Prior("HalfNormal", {"scale": self.parameter.prior.sd / 2})
+
+    def population(self, z: Array, xp: ModuleType = np) -> Array:
+        """mu (...)."""
+        return self.parameter.prior.from_normal(z[..., self.begin], xp)
+
+    def sigma(self, z: Array, xp: ModuleType = np) -> Array:
+        """sd of the population (...)."""
+        if self.spread is not None:
+            return self.spread + 0.0 * z[..., self.begin]
+        return self.sigma_prior.from_normal(z[..., self.begin + 1], xp)
+
+    def values(self, z: Array, xp: ModuleType = np) -> Array:
+        """psi of every recording (..., recordings)."""
+        low, high = self.parameter.prior.support
+        loc, scale = self.population(z, xp)[..., None], self.sigma(z, xp)[..., None]
+        own = z[..., self.first_own : self.stop]
+        if np.isinf(low) and np.isinf(high):
+            return loc + scale * own
+        return truncated_normal({"loc": loc, "scale": scale, "low": low, "high": high}, own, library(xp))
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """The layout of psi's unknowns in z."""
+
+    blocks: tuple[Block, ...]
+    recordings: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """Unknowns of psi."""
+        return self.blocks[-1].stop if self.blocks else 0
+
+    @property
+    def varying(self) -> tuple[Block, ...]:
+        """Blocks of psi that vary by recording."""
+        return tuple(b for b in self.blocks if b.varies)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """`mass`; or `mass_mu`, `mass_sigma` where it is unknown, `mass[<recording>]` for each recording."""
+        out: list[str] = []
+        for b in self.blocks:
+            name = b.parameter.name
+            out += [f"{name}_mu" if b.varies else name]
+            out += [f"{name}_sigma"] if b.varies and b.spread is None else []
+            out += [f"{name}[{r}]" for r in self.recordings] if b.varies else []
+        return tuple(out)
+
+    def own(self) -> Iterator[tuple[Block, slice]]:
+        """Unknowns that each belong to one recording."""
+        for b in self.varying:
+            yield b, slice(b.first_own, b.stop)
+
+    def population(self, z: Array, xp: ModuleType = np) -> Array:
+        """One value a psi (..., psi): mu where it varies."""
+        columns = [b.population(z, xp) for b in self.blocks]
+        return xp.stack(columns, -1) if columns else xp.zeros((*z.shape[:-1], 0))
+
+    def by_recording(self, z: Array, xp: ModuleType = np) -> Array:
+        """psi of every recording (..., recordings, psi)."""
+        count = len(self.recordings)
+        columns = [
+            b.values(z, xp) if b.varies else xp.repeat(b.population(z, xp)[..., None], count, -1) for b in self.blocks
+        ]
+        return xp.stack(columns, -1) if columns else xp.zeros((*z.shape[:-1], count, 0))
+
+    def constrained(self, z: Array, xp: ModuleType = np) -> dict[str, Array]:
+        """Every unknown by name in its own unit; a held sigma too."""
+        out: dict[str, Array] = {}
+        for b in self.blocks:
+            name = b.parameter.name
+            if not b.varies:
+                out[name] = b.population(z, xp)
+                continue
+            out[f"{name}_mu"], out[f"{name}_sigma"] = b.population(z, xp), b.sigma(z, xp)
+            values = b.values(z, xp)
+            out |= {f"{name}[{r}]": values[..., k] for k, r in enumerate(self.recordings)}
+        return out
+
+
+def lay_out(parameters: Sequence[Parameter], recordings: Sequence[str], spreads: Sequence[float] | None) -> Unknowns:
+    """The layout; `spreads` holds sigma of each psi that varies, None makes them unknowns."""
+    blocks: list[Block] = []
+    begin, held = 0, iter(spreads or ())
+    for p in parameters:
+        varies = p.varies == "trajectory"
+        spread = next(held) if varies and spreads is not None else None
+        blocks.append(Block(p, begin, len(recordings) if varies else 0, spread))
+        begin = blocks[-1].stop
+    return Unknowns(tuple(blocks), tuple(recordings))
+
+
+def owners(segment_recording: np.ndarray, num_recordings: int) -> Bool[np.ndarray, "recordings segments"]:
+    """Which segments belong to each recording."""
+    return np.arange(num_recordings)[:, None] == np.asarray(segment_recording)[None]
+
+
+def first_spreads(parameters: Sequence[Parameter]) -> tuple[float, ...]:
+    """Medians of sigma's priors, from which the fit of populations starts."""
+    return tuple(0.67 * p.prior.sd / 2 for p in parameters if p.varies == "trajectory")
+
+
+def carried(z: Float[np.ndarray, " size"], old: Unknowns, new: Unknowns) -> Float[np.ndarray, " new_size"]:
+    """Unknowns in another layout: a recording keeps its own value, a new one has the population's."""
+    out = np.zeros(new.size + len(z) - old.size)
+    out[new.size :] = z[old.size :]
+    for a, b in zip(old.blocks, new.blocks, strict=True):
+        out[b.begin] = z[a.begin]
+        if not a.varies:
+            continue
+        sigma = float(a.sigma(z))
+        if b.spread is None:
+            out[b.begin + 1] = float(b.sigma_prior.to_normal(max(sigma, 1e-300)))
+            ratio = 1.0
+        else:
+            ratio = sigma / max(b.spread, 1e-300)
+        for k, name in enumerate(new.recordings):
+            if name in old.recordings:
+                out[b.first_own + k] = z[a.first_own + old.recordings.index(name)] * ratio
+    return out
