@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import Start
+from det2stoc_bayes.engines.layout import position_difference
 from det2stoc_bayes.likelihood import LatentStarts, factorize
 from det2stoc_bayes.problem import Problem, merge_requests, repeat_start
 
@@ -126,13 +127,10 @@ def _assemble(problem: Problem, point: Point, predicted: np.ndarray) -> Lineariz
 
 
 def _tangent(problem: Problem, start: Start) -> Float[np.ndarray, "segments states"]:
-    """How far the guessed starts lie from these, in tangent coordinates (rotations: their wide prior is ignored)."""
-    guess, model = problem.guess.start, problem.simulator.model
-    out = np.zeros((problem.segments.count, 2 * model.nv))
-    if model.nq == model.nv:
-        out[:, : model.nv] = guess.qpos - start.qpos
-    out[:, model.nv :] = guess.qvel - start.qvel
-    return out
+    """How far the guessed starts lie from these, in tangent coordinates."""
+    guess = problem.guess.start
+    apart = position_difference(problem.simulator.model, start.qpos, guess.qpos)
+    return np.concatenate([apart, guess.qvel - start.qvel], 1)
 
 
 def fit_many(

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.model_names import (
     KINDS,
+    REFUSED,
     ModelNames,
     believed_value,
     compile_model,
@@ -111,6 +112,9 @@ def _resolved(text: str, model: "mujoco.MjModel", names: ModelNames, where: str)
     except StudyError as error:
         raise StudyError(f"{where}: {error}") from error
     kind, name, field = target.kind, target.name, target.field
+    if (kind, field) in REFUSED:
+        reason = REFUSED[kind, field]
+        raise StudyError(f"{where}: '{text}': {reason}; allowed: {listing(names.fields[kind], 30)}")
     if field not in names.fields[kind]:
         raise StudyError(f"{where}: '{text}': {kind} has no field '{field}'; {choices(field, names.fields[kind], 30)}")
     if kind != "opt" and name != "*" and name not in names.elements[kind]:

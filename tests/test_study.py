@@ -16,7 +16,7 @@ from det2stoc_bayes.engines.model_names import (
     model_names,
     rows_of,
 )
-from det2stoc_bayes.errors import Det2StocError, ModelError
+from det2stoc_bayes.errors import Det2StocError, ModelError, StudyError
 from det2stoc_bayes.recording import StudyWarning
 from det2stoc_bayes.study import Target, load_study
 
@@ -343,3 +343,11 @@ def test_real_studies_load(name: str):
 def test_import_leaves_jax_and_mujoco_alone():
     code = "import sys, det2stoc_bayes.study; sys.exit(bool({'jax', 'mujoco', 'numpyro'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_the_timestep_is_no_psi(folder: Path):
+    (folder / "study.toml").write_text('[psi.step]\ntarget = "opt/timestep"\nprior = { HalfNormal = {} }\n')
+    with pytest.raises(
+        StudyError, match=r"psi.step.target: 'opt/timestep': the samples' times hang .*allowed: gravity"
+    ):
+        load_study(folder)

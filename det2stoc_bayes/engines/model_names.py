@@ -29,7 +29,7 @@ _ARRAYS = (
     ("actuator", "actuator_", "dampingpoly delay cranklength"),
     ("tendon", "tendon_", "stiffness stiffnesspoly damping dampingpoly frictionloss armature lengthspring"),
     ("tendon", "tendon_", "range margin solref_lim solimp_lim solref_fri solimp_fri actfrcrange"),
-    ("opt", "opt.", "gravity wind magnetic density viscosity timestep impratio"),
+    ("opt", "opt.", "gravity wind magnetic density viscosity impratio"),
     ("opt", "opt.", "o_margin o_solref o_solimp o_friction"),
 )
 KINDS = tuple(dict.fromkeys(kind for kind, _, _ in _ARRAYS))
@@ -41,6 +41,10 @@ _FIELDS["joint"] |= {
     "solreffriction": "dof_solref",
     "solimpfriction": "dof_solimp",
     "springref": "qpos_spring",
+}
+# What a target may not set, and why; where a reason stands, it is the error's.
+REFUSED = {
+    ("opt", "timestep"): "the samples' times hang on the step, and a diagnosis tries finer ones by itself",
 }
 _FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint, whose members `in` does not find among numpy numbers
 
@@ -72,8 +76,11 @@ def field_of(kind: str, field: str) -> str:
     return _FIELDS[kind][field]
 
 
-def compile_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
-    """The compiled MJCF at `path`; neither it nor a file it includes or loads may lie outside of `folder`."""
+def compile_model(path: Path, folder: Path | None = None, *, general: bool = False) -> "mujoco.MjModel":
+    """The compiled MJCF at `path`; neither it nor a file it includes or loads may lie outside of `folder`.
+
+    With `general` no body keeps MuJoCo's simple form, in which its centre of mass must stay where it is.
+    """
     import mujoco
 
     if not path.is_file():
@@ -83,7 +90,13 @@ def compile_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
         raise ModelError(f"{path.name}: the model is an MJCF file; allowed: .xml")
     _refuse_outside(path, (folder or path.parent).resolve())
     try:
-        return mujoco.MjModel.from_xml_path(str(path))
+        model = mujoco.MjModel.from_xml_path(str(path))
+        if not general or not model.body_simple[1:].any():
+            return model
+        spec = mujoco.MjSpec.from_file(str(path))
+        for body in spec.bodies[1:]:
+            body.simple = False
+        return spec.compile()
     except ValueError as error:
         raise ModelError(f"{path.name}: does not compile: {'; '.join(str(error).split(chr(10)))}") from error
 
