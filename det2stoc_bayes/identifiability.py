@@ -8,7 +8,7 @@ import numpy as np
 
 from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.mismatch.horizon import climb
-from det2stoc_bayes.optimize import Fit
+from det2stoc_bayes.optimize import Fit, start_point
 from det2stoc_bayes.problem import Problem, make_problem
 from det2stoc_bayes.recording import Recording
 from det2stoc_bayes.simulator import Simulator
@@ -87,7 +87,7 @@ def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
 
 def _misfit(problem: Problem) -> dict[str, float]:
     """Recording -> rms of its whitened residual at the prior's median; inf where the simulation diverges."""
-    request = problem.request(np.zeros((1, problem.size)), problem.guess.start)
+    request = problem.request(np.zeros((1, problem.size)), start_point(problem).start)
     whitened = problem.residuals(problem.simulator.rollout(request)) * problem.weight
     out = {}
     for s, r in enumerate(problem.segments.recording):

@@ -10,6 +10,7 @@ from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.engines.layout import position_difference
 from det2stoc_bayes.likelihood import LatentStarts, factorize
 from det2stoc_bayes.problem import Problem, merge_requests, repeat_start
+from det2stoc_bayes.start_search import search_starts
 
 UNKNOWN_STEP = 1e-3  # of a prior sd: finite difference in an unknown
 START_STEP = 1e-4  # of a coordinate's spread: finite difference in an initial state
@@ -81,8 +82,13 @@ class Fit:
 
 
 def start_point(problem: Problem, z: Float[np.ndarray, " size"] | None = None) -> Point:
-    """The prior's median and the recorded starts."""
-    return Point(np.zeros(problem.size) if z is None else np.asarray(z, float), problem.guess.start)
+    """The prior's median and the recorded starts, or the likeliest where some position was not recorded."""
+    z = np.zeros(problem.size) if z is None else np.asarray(z, float)
+    return Point(z, search_starts(problem, z, _linearize_starts))
+
+
+def _linearize_starts(points: Sequence[tuple[Problem, np.ndarray, Start]]) -> "list[Linearization | None]":
+    return linearize([(problem, Point(z, start)) for problem, z, start in points], unknowns=False)
 
 
 def linearize(points: Sequence[tuple[Problem, Point]], *, unknowns: bool = True) -> list[Linearization | None]:

@@ -56,7 +56,7 @@ class Problem:
     @cached_property
     def quaternions(self) -> list[list[int]]:
         """Column groups that are one rotation."""
-        return quaternion_groups(self.segments.columns)
+        return quaternion_groups(self.segments.columns, self.simulator.study.names.quaternions)
 
     @cached_property
     def weight(self) -> Float[np.ndarray, "segments values"]:

@@ -12,7 +12,9 @@ from jaxtyping import Bool, Float
 
 from det2stoc_bayes.engines.model_names import ModelNames
 from det2stoc_bayes.errors import StudyError, listing
+from det2stoc_bayes.recording_angles import unwrap
 from det2stoc_bayes.recording_files import Table, read_csv, read_parquet
+from det2stoc_bayes.recording_glitches import glitches
 from det2stoc_bayes.suggestions import choices
 
 MOST_NORM_ERROR = 1e-2  # of a quaternion: rounding is normalised away, more is a mistake
@@ -58,7 +60,9 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
             raise table.fail(f"column {column}: found no value at all; allowed: numbers (leave the column out)")
     columns = tuple(c for c in table.header if c in names.columns)
     values = np.stack([table.column(c) for c in columns], axis=1)
+    _unwrap(label, columns, values, names)
     _normalise_quaternions(table, columns, values, names)
+    _drop_glitches(table, time, columns, values, names)
     _warn(label, time, columns, values, names)
     ctrl = _controls(table, names)
     for data in (time, values, ctrl):
@@ -76,8 +80,7 @@ def _check_header(names: ModelNames, label: str, header: tuple[str, ...]) -> Non
             raise StudyError(f"{label}: unknown column '{column}'; {choices(column, ['time', *known], limit=20)}")
     if not set(header) & set(names.columns):
         raise StudyError(f"{label}: no measured column; found {listing(header)}; allowed: {listing(names.columns, 20)}")
-    for prefix in names.quaternions:
-        parts = [f"{prefix}/{part}" for part in ("qw", "qx", "qy", "qz")]
+    for parts in names.quaternions:
         missing = [part for part in parts if part not in header]
         if 0 < len(missing) < 4:
             raise StudyError(f"{label}: incomplete quaternion, without {listing(missing)}; allowed: {listing(parts)}")
@@ -95,28 +98,74 @@ def _checked_time(table: Table) -> Float[np.ndarray, " samples"]:
     return time
 
 
+def _unwrap(
+    label: str, columns: tuple[str, ...], values: Float[np.ndarray, "samples columns"], names: ModelNames
+) -> None:
+    """Undo in place what a recorder did to unlimited hinges that turn on."""
+    for j, column in enumerate(columns):
+        if column in names.hinges and names.hinges[column] is None:
+            values[:, j], jumps = unwrap(values[:, j])
+            if jumps:
+                _tell(f"{label}: {column}: wrapped into one turn, and unwrapped at {jumps} jumps of 2 pi")
+
+
+def _drop_glitches(
+    table: Table,
+    time: Float[np.ndarray, " samples"],
+    columns: tuple[str, ...],
+    values: Float[np.ndarray, "samples columns"],
+    names: ModelNames,
+) -> None:
+    """Empty, in place, single samples that stand alone; an orientation goes as a whole."""
+    groups = {c: group for group in names.quaternions for c in group if group[0] in columns}
+    smooth = _of_one_sign(columns, values, names)
+    found = {c: glitches(time, smooth[:, j]) for j, c in enumerate(columns) if c not in names.abrupt}
+    for column, alone in found.items():
+        if alone.any():
+            rows = np.flatnonzero(alone)
+            shown = listing((str(table.lines[i]) for i in rows), 5)
+            many = "a single sample out of line is" if len(rows) == 1 else f"{len(rows)} samples out of line are"
+            _tell(f"{table.label}: {column}: {many} treated as dropped: {table.unit} {shown}")
+            for c in groups.get(column, (column,)):
+                values[rows, columns.index(c)] = np.nan
+
+
 def _normalise_quaternions(
     table: Table, columns: tuple[str, ...], values: Float[np.ndarray, "samples columns"], names: ModelNames
 ) -> None:
-    """Make every quaternion in `values` a unit one, and drop those with an empty component, in place."""
-    for prefix in names.quaternions:
-        if f"{prefix}/qw" not in columns:
+    """Make every quaternion a unit one, and drop those with an empty component, in place."""
+    for group in names.quaternions:
+        if group[0] not in columns:
             continue
-        parts = [columns.index(f"{prefix}/{part}") for part in ("qw", "qx", "qy", "qz")]
+        parts, shown = [columns.index(c) for c in group], f"{group[0]} to /{group[-1].rpartition('/')[2]}"
         norm = np.sqrt((values[:, parts] ** 2).sum(axis=1))
         wrong = np.flatnonzero(np.abs(norm - 1) > MOST_NORM_ERROR)
         if len(wrong):
             raise table.fail(
-                f"columns {prefix}/qw to /qz: found a quaternion of norm {norm[wrong[0]]:.6g}; allowed: 1 "
+                f"columns {shown}: found a quaternion of norm {norm[wrong[0]]:.6g}; allowed: 1 "
                 f"within {MOST_NORM_ERROR:g}",
                 int(wrong[0]),
             )
         partly: Bool[np.ndarray, " samples"] = np.isnan(norm) & ~np.isnan(values[:, parts]).all(axis=1)
         if partly.any():
-            _tell(f"{table.label}: {prefix}: {partly.sum()} quaternions with an empty component are dropped")
+            _tell(f"{table.label}: {shown}: {partly.sum()} quaternions with an empty component are dropped")
         values[:, parts] /= norm[:, None]
         if np.isnan(norm).all():
-            raise table.fail(f"columns {prefix}/qw to /qz: none complete; allowed: 4 numbers")
+            raise table.fail(f"columns {shown}: none complete; allowed: 4 numbers")
+
+
+def _of_one_sign(
+    columns: tuple[str, ...], values: Float[np.ndarray, "samples columns"], names: ModelNames
+) -> Float[np.ndarray, "samples columns"]:
+    """The values with each quaternion of the sign that is nearer to the one before it."""
+    out = values.copy()
+    for group in names.quaternions:
+        if group[0] in columns:
+            parts = [columns.index(c) for c in group]
+            seen = np.flatnonzero(~np.isnan(values[:, parts[0]]))
+            turned = (values[seen[1:, None], parts] * values[seen[:-1, None], parts]).sum(axis=1) < 0
+            out[seen[1:, None], parts] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
+    return out
 
 
 def _controls(table: Table, names: ModelNames) -> Float[np.ndarray, "samples actuators"]:

@@ -1,5 +1,6 @@
 """Where recorded columns and named elements sit in a compiled model's arrays."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -55,14 +56,9 @@ def _element_and_part(model: mujoco.MjModel, kind: mujoco.mjtObj, rest: str) -> 
     return number, part
 
 
-def quaternion_groups(columns: tuple[str, ...]) -> list[list[int]]:
-    """Indices of the four components of every fully recorded quaternion."""
-    groups = []
-    for i, column in enumerate(columns):
-        stem, _, part = column.rpartition("/")
-        if part == "qw" and all(f"{stem}/{p}" in columns for p in ("qx", "qy", "qz")):
-            groups.append([i] + [columns.index(f"{stem}/{p}") for p in ("qx", "qy", "qz")])
-    return groups
+def quaternion_groups(columns: Sequence[str], quaternions: Sequence[Sequence[str]]) -> list[list[int]]:
+    """Indices of the four components of every fully recorded quaternion; `quaternions` are a model's columns."""
+    return [[columns.index(c) for c in group] for group in quaternions if set(group) <= set(columns)]
 
 
 def joint_elements(model: mujoco.MjModel) -> list[Element]:

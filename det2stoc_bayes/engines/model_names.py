@@ -55,16 +55,18 @@ class ModelNames:
 
     `columns`: all that can be recorded, controls excluded. `actuators`: one a control, "" where unnamed.
     `elements`: the named elements of each kind. `fields`: of each kind, the shape of one element's field.
-    `quaternions`: the prefixes whose columns /qw /qx /qy /qz are one orientation.
+    `quaternions`: the columns, four each, that are one orientation; of joints and of sensors.
     `hinges`: the position columns of hinge joints with their range, None where unlimited.
+    `abrupt`: columns of accelerations and forces, in which one sample may rightly stand alone.
     """
 
     columns: tuple[str, ...]
     actuators: tuple[str, ...]
     elements: Mapping[str, tuple[str, ...]]
     fields: Mapping[str, Mapping[str, tuple[int, ...]]]
-    quaternions: tuple[str, ...] = ()
+    quaternions: tuple[tuple[str, ...], ...] = ()
     hinges: Mapping[str, tuple[float, float] | None] = dataclass_field(default_factory=dict)
+    abrupt: tuple[str, ...] = ()
 
 
 def field_of(kind: str, field: str) -> str:
@@ -134,29 +136,36 @@ def _files_named(xml: Path, main: Path) -> list[Path]:
 
 def model_names(model: "mujoco.MjModel") -> ModelNames:
     """What can be recorded from a compiled model, and what a target can name; nothing unnamed."""
+    import mujoco
     from mujoco.batch import MODEL_FIELDS  # what this MuJoCo can vary from simulation to simulation
 
     columns: list[str] = []
-    quaternions: list[str] = []
+    quaternions: list[tuple[str, ...]] = []
     hinges: dict[str, tuple[float, float] | None] = {}
+    abrupt: list[str] = []
     for joint in map(model.joint, range(model.njnt)):
         if joint.name:
             columns += _joint_columns(joint.name, joint.type[0])
             if joint.type[0] in (_FREE, _BALL):
-                quaternions.append(f"qpos/{joint.name}")
+                quaternions.append(tuple(f"qpos/{joint.name}/{part}" for part in ("qw", "qx", "qy", "qz")))
             if joint.type[0] == _HINGE:
                 limited = model.jnt_limited[joint.id]
                 hinges[f"qpos/{joint.name}"] = (float(joint.range[0]), float(joint.range[1])) if limited else None
     for sensor in map(model.sensor, range(model.nsensor)):
         if sensor.name:
             size = int(sensor.dim[0])
-            columns += [f"sensor/{sensor.name}"] if size == 1 else [f"sensor/{sensor.name}/{i}" for i in range(size)]
+            own = [f"sensor/{sensor.name}"] if size == 1 else [f"sensor/{sensor.name}/{i}" for i in range(size)]
+            columns += own
+            if model.sensor_datatype[sensor.id] == mujoco.mjtDataType.mjDATATYPE_QUATERNION:
+                quaternions.append(tuple(own))
+            if model.sensor_needstage[sensor.id] == mujoco.mjtStage.mjSTAGE_ACC:
+                abrupt += own
     elements = {kind: tuple(name for _, name in _named(model, kind)) for kind in KINDS}
     fields = {
         kind: {f: _shape(model, kind, f) for f, array in known.items() if array in MODEL_FIELDS}
         for kind, known in _FIELDS.items()
     }
-    return ModelNames(tuple(columns), _controls(model), elements, fields, tuple(quaternions), hinges)
+    return ModelNames(tuple(columns), _controls(model), elements, fields, tuple(quaternions), hinges, tuple(abrupt))
 
 
 def rows_of(model: "mujoco.MjModel", kind: str, name: str, field: str) -> Int[np.ndarray, " rows"]:

@@ -1,0 +1,46 @@
+"""Single samples that are out of line with their neighbours, while the neighbours are in line with each other."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.lib.stride_tricks import sliding_window_view
+
+FEWEST = 20  # samples: fewer do not tell what is usual
+OUT_OF_LINE = 8.0  # robust sds of what a cubic through four neighbours leaves
+IN_LINE = 0.2  # of the glitch: what a cubic past it may leave at its neighbours, less than at a kink
+
+
+def glitches(
+    time: Float[np.ndarray, " samples"], values: Float[np.ndarray, " samples"]
+) -> Bool[np.ndarray, " samples"]:
+    """Where one recorded value of a channel stands alone; cells that are NaN are passed over.
+
+    A jump or a kink moves the neighbours' predictions too and is none. The first and last three values are not judged.
+    """
+    out, seen = np.zeros(len(values), bool), np.flatnonzero(np.isfinite(values))
+    if len(seen) < FEWEST:
+        return out
+    t, x = (sliding_window_view(a[seen], 7) for a in (time, values))
+    middle = _left_over(t, x, 3, (1, 2, 4, 5))
+    neighbours = np.maximum(np.abs(_left_over(t, x, 2, (0, 1, 4, 5))), np.abs(_left_over(t, x, 4, (1, 2, 5, 6))))
+    sd = max(float(np.median(np.abs(middle))) / 0.6745, resolution(values[seen]), 1e-9 * float(np.abs(x).max()))
+    alone = (np.abs(middle) > OUT_OF_LINE * sd) & (neighbours < IN_LINE * np.abs(middle))
+    out[seen[3:-3][alone]] = True
+    return out
+
+
+def resolution(values: Float[np.ndarray, " samples"]) -> float:
+    """sd of the rounding of a quantised channel: its smallest step over sqrt(12); 0 where it never changes."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 1e-12 * np.abs(values).max(initial=0.0)]
+    return float(steps.min()) / np.sqrt(12) if len(steps) else 0.0
+
+
+def _left_over(t: np.ndarray, x: np.ndarray, at: int, nodes: tuple[int, ...]) -> np.ndarray:
+    """A window's value less that of the cubic through four others of it, in units in which white noise keeps its sd."""
+    predicted, variance = np.zeros(len(x)), np.ones(len(x))
+    for i in nodes:
+        others = [j for j in nodes if j != i]
+        weight = np.prod([(t[:, at] - t[:, j]) / (t[:, i] - t[:, j]) for j in others], axis=0)
+        predicted += weight * x[:, i]
+        variance += weight**2
+    return (x[:, at] - predicted) / np.sqrt(variance)
