@@ -7,6 +7,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 FEWEST = 20  # samples: fewer do not tell what is usual
 OUT_OF_LINE = 8.0  # robust sds of what a cubic through four neighbours leaves
 IN_LINE = 0.2  # of the glitch: what a cubic past it may leave at its neighbours, less than at a kink
+REACH = 8  # samples either way
+ROUGHEST = 4.0  # times the largest of the others within reach, as impacts and encoders' steps come in groups
+RAREST = 3.0, 99.0  # times a percentile of all others: what happens often is no glitch
 
 
 def glitches(
@@ -20,12 +23,22 @@ def glitches(
     if len(seen) < FEWEST:
         return out
     t, x = (sliding_window_view(a[seen], 7) for a in (time, values))
-    middle = _left_over(t, x, 3, (1, 2, 4, 5))
+    middle = np.abs(_left_over(t, x, 3, (1, 2, 4, 5)))
     neighbours = np.maximum(np.abs(_left_over(t, x, 2, (0, 1, 4, 5))), np.abs(_left_over(t, x, 4, (1, 2, 5, 6))))
-    sd = max(float(np.median(np.abs(middle))) / 0.6745, resolution(values[seen]), 1e-9 * float(np.abs(x).max()))
-    alone = (np.abs(middle) > OUT_OF_LINE * sd) & (neighbours < IN_LINE * np.abs(middle))
+    sd = max(float(np.median(middle)) / 0.6745, resolution(values[seen]), 1e-9 * float(np.abs(x).max()))
+    alone = (middle > OUT_OF_LINE * sd) & (neighbours < IN_LINE * middle) & (middle > ROUGHEST * _near(middle))
+    others = middle[~np.convolve(alone, np.ones(5), "same").astype(bool)]
+    if len(others):
+        alone &= middle > RAREST[0] * np.percentile(others, RAREST[1])
     out[seen[3:-3][alone]] = True
     return out
+
+
+def _near(left_over: Float[np.ndarray, " windows"]) -> Float[np.ndarray, " windows"]:
+    """The largest within reach whose cubic does not pass through the sample itself."""
+    padded = np.pad(left_over, REACH)
+    near = sliding_window_view(padded, 2 * REACH + 1)
+    return np.delete(near, range(REACH - 2, REACH + 3), axis=1).max(axis=1)
 
 
 def resolution(values: Float[np.ndarray, " samples"]) -> float:
