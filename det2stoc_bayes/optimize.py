@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.engines.layout import position_difference
-from det2stoc_bayes.likelihood import LatentStarts, factorize
+from det2stoc_bayes.likelihood import LatentStarts, factorize, log_peak
 from det2stoc_bayes.problem import Problem, merge_requests, repeat_start
 from det2stoc_bayes.start_search import search_starts
 
@@ -78,7 +78,8 @@ class Fit:
     @property
     def noise_inflation(self) -> float:
         """Whitened squared residual over its degrees of freedom: 1 under the right model."""
-        return self.chi2 / max(self.linear.degrees_of_freedom - self.problem.size, 1)
+        free = max(self.linear.degrees_of_freedom - self.problem.size, 1)
+        return self.chi2 / self.problem.measurement.mean_square / free
 
 
 def start_point(problem: Problem, z: Float[np.ndarray, " size"] | None = None) -> Point:
@@ -127,9 +128,11 @@ def _assemble(problem: Problem, point: Point, predicted: np.ndarray) -> Lineariz
     change = np.nan_to_num(r[0] - r[1:])  # a perturbation that diverges tells nothing
     a = np.moveaxis(change[:states], 0, -1) / (START_STEP * problem.guess.scale)
     j = np.moveaxis(change[states:], 0, -1) / UNKNOWN_STEP
-    latent = factorize(a, problem.weight, problem.guess.prior_sd)
-    offset = _tangent(problem, point.start)[..., None]
-    return Linearization(problem, point, latent, latent.stack(r[0][..., None], offset), latent.stack(j))
+    error, measurement = r[0] * problem.weight, problem.measurement
+    peak = log_peak(problem.weight, measurement)
+    latent = factorize(a, problem.weight * measurement.slope(error), problem.guess.prior_sd, peak)
+    stacked = latent.stack_whitened(measurement.bend(error)[..., None], _tangent(problem, point.start)[..., None])
+    return Linearization(problem, point, latent, stacked, latent.stack(j))
 
 
 def _tangent(problem: Problem, start: Start) -> Float[np.ndarray, "segments states"]:
@@ -217,7 +220,7 @@ def _moved(lin: Linearization, step: _Step, fraction: float) -> Point:
 def noise_scale(lin: Linearization, chi2: float, free_scale: bool) -> float:
     """Variance ratio by which the misfit exceeds the noise, at least 1."""
     dof = max(lin.degrees_of_freedom - lin.problem.size, 1)
-    return max(1.0, chi2 / dof) if free_scale else 1.0
+    return max(1.0, chi2 / lin.problem.measurement.mean_square / dof) if free_scale else 1.0
 
 
 def _newton_step(lin: Linearization, free_scale: bool) -> _Step:
@@ -253,7 +256,7 @@ def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> lis
 
 def _objective(lin: Linearization, points: Sequence[Point], predicted: np.ndarray, s2: float) -> np.ndarray:
     r = lin.problem.residuals(predicted).reshape(len(points), lin.problem.segments.count, -1)
-    misfit = ((r * lin.problem.weight) ** 2).sum((1, 2))
+    misfit = (lin.problem.measurement.bend(r * lin.problem.weight) ** 2).sum((1, 2))
     below = [((_tangent(lin.problem, p.start) / lin.problem.guess.prior_sd) ** 2).sum() for p in points]
     total = (misfit + np.array(below)) / s2 + np.array([p.z @ p.z for p in points])
     finite = np.isfinite(predicted).all((1, 2)).reshape(len(points), -1).all(1)

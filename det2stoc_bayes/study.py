@@ -21,9 +21,10 @@ from det2stoc_bayes.engines.model_names import (
     rows_of,
 )
 from det2stoc_bayes.errors import StudyError, listing
+from det2stoc_bayes.measurement import Measurement
 from det2stoc_bayes.priors import Prior
 from det2stoc_bayes.recording import Recording, StudyWarning, read_recording
-from det2stoc_bayes.study_file import FILES, PsiTable, check_stems, find_files, inside, read_toml
+from det2stoc_bayes.study_file import FILES, LikelihoodTable, PsiTable, check_stems, find_files, inside, read_toml
 from det2stoc_bayes.suggestions import choices
 
 if TYPE_CHECKING:
@@ -78,6 +79,7 @@ class Study:
     recordings: tuple[Recording, ...]
     holdout: tuple[Recording, ...]
     names: ModelNames
+    measurement: Measurement = Measurement()
 
 
 def load_study(folder: Path) -> Study:
@@ -102,7 +104,9 @@ def load_study(folder: Path) -> Study:
     holdout = tuple(read_recording(path, names) for path in held_out)
     noise = _noise(content.noise, [c for r in (*recordings, *holdout) for c in r.columns], names, source)
     known = {stem: _known(values, model, names, f"{source}: known.{stem}") for stem, values in content.known.items()}
-    return Study(folder, folder.resolve().name, model_path, parameters, noise, known, recordings, holdout, names)
+    measurement = _measurement(content.likelihood, source)
+    name = folder.resolve().name
+    return Study(folder, name, model_path, parameters, noise, known, recordings, holdout, names, measurement)
 
 
 def _resolved(text: str, model: "mujoco.MjModel", names: ModelNames, where: str) -> tuple[Target, tuple[int, ...]]:
@@ -123,6 +127,17 @@ def _resolved(text: str, model: "mujoco.MjModel", names: ModelNames, where: str)
     if not len(rows_of(model, kind, name, field)):
         raise StudyError(f"{where}: '{text}': the model has no such {kind}; allowed: an element that has a {field}")
     return target, names.fields[kind][field]
+
+
+def _measurement(table: LikelihoodTable, source: str) -> Measurement:
+    if table.noise == "student_t":
+        return Measurement(table.degrees_of_freedom)
+    if "degrees_of_freedom" in table.model_fields_set:
+        raise StudyError(
+            f'{source}: likelihood.degrees_of_freedom: found {table.degrees_of_freedom:g} with noise = "normal"; '
+            'allowed: with noise = "student_t"'
+        )
+    return Measurement()
 
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")

@@ -79,7 +79,7 @@ def _one(fit: Fit, z: np.ndarray, recording: Recording):
     path = np.concatenate([p[:n] for p, n in zip(predicted, segments.lengths, strict=True)])
     return (
         lin.latent.log_normalizer - 0.5 * chi2,
-        chi2,
+        chi2 / problem.measurement.mean_square,
         float(lin.degrees_of_freedom),
         (error**2).sum((0, 1)),
         counted.sum((0, 1)).astype(float),
