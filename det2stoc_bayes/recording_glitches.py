@@ -9,6 +9,7 @@ OUT_OF_LINE = 8.0  # robust sds of what a cubic through four neighbours leaves
 IN_LINE = 0.2  # of the glitch: what a cubic past it may leave at its neighbours, less than at a kink
 REACH = 8  # samples either way
 ROUGHEST = 4.0  # times the largest of the others within reach, as impacts and encoders' steps come in groups
+WHOLE, MOSTLY = 0.05, 0.9  # multiples of a quantised channel's step, and the share of its steps that are
 RAREST = 3.0, 99.0  # times a percentile of all others: what happens often is no glitch
 
 
@@ -42,10 +43,14 @@ def _near(left_over: Float[np.ndarray, " windows"]) -> Float[np.ndarray, " windo
 
 
 def resolution(values: Float[np.ndarray, " samples"]) -> float:
-    """sd of the rounding of a quantised channel: its smallest step over sqrt(12); 0 where it never changes."""
+    """sd of the rounding of a quantised channel: its smallest step over sqrt(12); 0 where steps are no multiples of it."""
     steps = np.abs(np.diff(values))
     steps = steps[steps > 1e-12 * np.abs(values).max(initial=0.0)]
-    return float(steps.min()) / np.sqrt(12) if len(steps) else 0.0
+    if len(steps) == 0:
+        return 0.0
+    multiples = steps / steps.min()
+    whole = np.abs(multiples - np.rint(multiples)) < WHOLE
+    return float(steps.min()) / np.sqrt(12) if whole.mean() > MOSTLY else 0.0
 
 
 def _left_over(t: np.ndarray, x: np.ndarray, at: int, nodes: tuple[int, ...]) -> np.ndarray:

@@ -52,7 +52,7 @@ def test_outliers_bend_a_normal_fit_and_hardly_a_students(tmp_path):
     found = {name: find_map(outlying(tmp_path / name, toml)) for name, toml in (("n", ""), ("t", STUDENT))}
     psi = {name: f.problem.psi(f.point.z) for name, f in found.items()}
     sd = np.sqrt(np.diag(found["t"].covariance)) * [0.1, 3]
-    print(psi, sd, found["n"].noise_inflation, found["t"].noise_inflation)
+    # Measured: damping 0.566 and 0.390 +- 0.013, stiffness 29.93 and 30.04 +- 0.06; inflation 41 and 2.2.
     assert abs(psi["n"][0] - 0.4) > 0.1
     np.testing.assert_array_less(np.abs(psi["t"] - [0.4, 30]), 4 * sd)
     assert found["n"].noise_inflation > 20 and found["t"].noise_inflation < 4
