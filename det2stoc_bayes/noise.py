@@ -48,7 +48,7 @@ def _scatter(time: Float[np.ndarray, "segments samples"], values: Float[np.ndarr
 def _differences(
     time: Float[np.ndarray, " samples"], values: Float[np.ndarray, " samples"], order: int
 ) -> Float[np.ndarray, " windows"]:
-    """Divided differences of the recorded samples, scaled so that white noise keeps its sd; uneven times are allowed."""
+    """Divided differences of the recorded samples, at any times, scaled so that white noise keeps its sd."""
     seen = np.isfinite(values)
     if seen.sum() <= order:
         return np.zeros(0)

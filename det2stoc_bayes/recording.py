@@ -18,6 +18,8 @@ from det2stoc_bayes.recording_glitches import glitches
 from det2stoc_bayes.suggestions import choices
 
 MOST_NORM_ERROR = 1e-2  # of a quaternion: rounding is normalised away, more is a mistake
+MOST_BYTES = 1_000_000_000  # of a file: its numbers are held in memory at once
+BEYOND = 0.05  # of a joint's range: what soft limits and noise may exceed it by
 LEAST_SUSPECT_SPAN = 50.0  # rad, eight turns: more may be degrees
 DEGREES = math.degrees(1.0)
 
@@ -40,6 +42,7 @@ class Recording:
     values: Float[np.ndarray, "samples columns"]
     ctrl: Float[np.ndarray, "samples actuators"]
     path: Path
+    commanded: tuple[str, ...] = ()  # the controls that the file has, `ctrl/<actuator>`
 
 
 def read_recording(path: Path, names: ModelNames) -> Recording:
@@ -50,6 +53,8 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
         raise StudyError(f"{label}: cannot read a '{path.suffix}' file; allowed: {listing(readers)}")
     if not path.is_file():
         raise StudyError(f"{label}: no such file; allowed: a .csv or .parquet file")
+    if path.stat().st_size > MOST_BYTES:
+        raise StudyError(f"{label}: found {path.stat().st_size / 1e9:.1f} GB; allowed: at most {MOST_BYTES / 1e9:g} GB")
     table = readers[path.suffix.lower()](path, label, partial(_check_header, names))
     if len(table.cells) < 2:
         found = "no sample" if len(table.cells) == 0 else "a single sample"
@@ -67,7 +72,8 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
     ctrl = _controls(table, names)
     for data in (time, values, ctrl):
         data.setflags(write=False)
-    return Recording(path.stem, time, columns, values, ctrl, path)
+    commanded = tuple(c for c in table.header if c.startswith("ctrl/"))
+    return Recording(path.stem, time, columns, values, ctrl, path, commanded)
 
 
 def _check_header(names: ModelNames, label: str, header: tuple[str, ...]) -> None:
@@ -199,6 +205,16 @@ def _warn(
     degrees = list(_in_degrees(time, columns, values, names))
     if degrees:
         _tell(f"{label}: looks like degrees: {listing(degrees)}; angles are in rad")
+    for column, limits in names.hinges.items():
+        if limits is None or column not in columns or column in degrees:
+            continue
+        position, slack = values[:, columns.index(column)], BEYOND * (limits[1] - limits[0])
+        low, high = float(np.nanmin(position)), float(np.nanmax(position))
+        if low < limits[0] - slack or high > limits[1] + slack:
+            shown = (
+                f"goes from {low:.4g} to {high:.4g} rad, and the joint's range is {limits[0]:.4g} to {limits[1]:.4g}"
+            )
+            _tell(f"{label}: {column} {shown} (degrees?)")
 
 
 def _in_degrees(

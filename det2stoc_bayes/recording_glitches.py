@@ -43,7 +43,7 @@ def _near(left_over: Float[np.ndarray, " windows"]) -> Float[np.ndarray, " windo
 
 
 def resolution(values: Float[np.ndarray, " samples"]) -> float:
-    """sd of the rounding of a quantised channel: its smallest step over sqrt(12); 0 where steps are no multiples of it."""
+    """sd of a quantised channel's rounding: its smallest step over sqrt(12); 0 where steps are no multiples of it."""
     steps = np.abs(np.diff(values))
     steps = steps[steps > 1e-12 * np.abs(values).max(initial=0.0)]
     if len(steps) == 0:
