@@ -164,7 +164,9 @@ def _measurement(table: LikelihoodTable, source: str) -> Measurement:
 
 
 # Fields that a simulation needs to be 0 or more.
-NOT_NEGATIVE = frozenset("mass inertia damping armature frictionloss friction size density viscosity".split())
+NOT_NEGATIVE = frozenset(
+    ["mass", "inertia", "damping", "armature", "frictionloss", "friction", "size", "density", "viscosity"]
+)
 UNLIKELY = -3.0902  # standard normal quantile of 0.1 %
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _RESERVED = ("chain", "draw", "recording", "time")  # dimensions of the results
