@@ -2,8 +2,8 @@
 
     python benchmarks/bad_input.py > docs/bad_input.md
 
-Every case spoils one thing in a study that is fine. An error is one line and exit code 2; a warning is one line, and the
-check goes on.
+Every case spoils one thing in a study that is fine. An error is one line and exit code 2; a warning is one line, and
+the check goes on.
 """
 
 import math
