@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import qmc
@@ -17,6 +16,8 @@ from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.problem import Problem
 
 if TYPE_CHECKING:
+    import mujoco
+
     import det2stoc_bayes.optimize
 
 NUM_SAMPLES = 20  # of each segment, from its start
@@ -61,7 +62,7 @@ def _spread(problem: Problem) -> Float[np.ndarray, "starts segments states"]:
     return change
 
 
-def _reach(model: mujoco.MjModel, v: int) -> tuple[float, float]:
+def _reach(model: "mujoco.MjModel", v: int) -> tuple[float, float]:
     """How far a coordinate may lie from the model's own position: its range, a whole turn, or a metre."""
     joint = int(model.dof_jntid[v])
     kind, q = int(model.jnt_type[joint]), int(model.jnt_qposadr[joint])
