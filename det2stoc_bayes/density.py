@@ -48,12 +48,7 @@ class Density:
     @cached_property
     def normalizer(self) -> Float[np.ndarray, " segments"]:
         """The terms of `LatentStarts.log_normalizer`, one a segment."""
-        w, latent = self.latent.weight, self.latent
-        recorded = w > 0
-        log_weight = np.log(np.where(recorded, w, 1.0)).sum(1)
-        diagonal = np.abs(np.diagonal(latent.triangle, axis1=1, axis2=2))
-        starts = np.log(latent.prior_sd).sum(1) + np.log(diagonal).sum(1)
-        return log_weight - starts - 0.5 * recorded.sum(1) * np.log(2 * np.pi)
+        return self.latent.log_normalizers
 
     def projected(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "segments stacked points"]:
         """Whitened residuals that no initial state explains; NaN where a simulation diverged."""
@@ -63,8 +58,9 @@ class Density:
         residuals = problem.residuals(predicted)
         residuals[diverged] = np.nan
         columns = np.moveaxis(residuals.reshape(points, problem.segments.count, -1), 0, -1)
+        columns = problem.measurement.bend(columns * problem.weight[..., None])
         offset = np.broadcast_to(self.offset[..., None], (*self.offset.shape, points))
-        return self.latent.project(self.latent.stack(columns, offset))
+        return self.latent.project(self.latent.stack_whitened(columns, offset))
 
     def log_likelihood_by_segment(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points segments"]:
         """One term a segment; -inf where its simulation diverged."""

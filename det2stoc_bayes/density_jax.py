@@ -109,13 +109,14 @@ def mjx_terms(density: Density) -> Terms:
     problem, latent = density.problem, density.latent
     engine: Any = problem.simulator.engine
     predict = engine.predict_fn(problem, density.start)
-    observed = jnp.asarray(problem.segments.values)
+    observed, weight = jnp.asarray(problem.segments.values), jnp.asarray(problem.weight)
     rows, count = jnp.asarray(problem.segments.recording), len(problem.segments.recordings)
     normalizer, offset = jnp.asarray(density.normalizer), jnp.asarray(density.offset)[..., None]
 
     def terms(z):
         r = residuals(predict(z), observed, problem.quaternions, jnp)
-        projected = latent.project(latent.stack(r[..., None], offset, jnp), jnp)[..., 0]
+        bent = problem.measurement.bend(r * weight, jnp)[..., None]
+        projected = latent.project(latent.stack_whitened(bent, offset, jnp), jnp)[..., 0]
         value = normalizer - 0.5 * (projected**2).sum(1)
         value = jnp.where(jnp.isfinite(value), value, -jnp.inf)
         return jax.ops.segment_sum(value, rows, num_segments=count)

@@ -1,5 +1,6 @@
 """What a study's recordings can and cannot identify, from one quick fit."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -7,14 +8,17 @@ from typing import Literal
 import numpy as np
 
 from det2stoc_bayes.errors import SimulationDiverged
-from det2stoc_bayes.mismatch.horizon import climb
+from det2stoc_bayes.linearization import start_point
+from det2stoc_bayes.mismatch.evidence import whitened
+from det2stoc_bayes.mismatch.horizon import LARGEST_ERROR, climb
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem, make_problem
-from det2stoc_bayes.recording import Recording
+from det2stoc_bayes.recording import Recording, StudyWarning
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
 
 IDENTIFIABLE, WEAK = 0.3, 0.9  # posterior sd over prior sd, both of the standard-normal unknown: below it
+FAR = 5.0  # noise sds of rms residual: less is no reason to doubt the recording
 ENTANGLED = 0.95  # correlation beyond which two unknowns are found together only
 
 type Verdict = Literal["identifiable", "weak", "not identifiable"]
@@ -80,14 +84,31 @@ def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
             "finite (check units, the timestep and the recordings' first samples)"
         )
     progress("fitting psi quickly", 1, 1)
+    _warn(fit)
     columns = problem.segments.columns
     noise = tuple(CheckedColumn(c, float(sd), c in study.noise) for c, sd in zip(columns, problem.noise, strict=True))
     return Check(study, _parameters(fit), _recordings(study, misfit), noise, float(fit.noise_inflation))
 
 
+def _warn(fit: Fit) -> None:
+    """Recordings that the fitted model is far from, over stretches as long as it can be asked to predict."""
+    segments, noise = fit.problem.segments, fit.problem.noise
+    errors, spread = whitened(fit) * noise, np.nanstd(segments.values, axis=(0, 1))
+    for r, recording in enumerate(segments.recordings):
+        own = errors[segments.recording == r]
+        seen = np.isfinite(own).any((0, 1))
+        rms = np.sqrt(np.nanmean(np.where(seen, own, 0.0) ** 2, axis=(0, 1)))
+        share = np.where(seen & (rms > FAR * noise), rms / np.maximum(spread, 1e-300), 0.0)
+        if share.max() > LARGEST_ERROR:
+            j = int(np.argmax(share))
+            far = f"misses {segments.columns[j]} by {rms[j] / noise[j]:.3g} noise sds, {share[j]:.0%} of its spread"
+            message = f"{recording.name}: the model cannot follow it: fitted, it {far} (units? signs? names?)"
+            warnings.warn(message, StudyWarning, stacklevel=3)
+
+
 def _misfit(problem: Problem) -> dict[str, float]:
     """Recording -> rms of its whitened residual at the prior's median; inf where the simulation diverges."""
-    request = problem.request(np.zeros((1, problem.size)), problem.guess.start)
+    request = problem.request(np.zeros((1, problem.size)), start_point(problem).start)
     whitened = problem.residuals(problem.simulator.rollout(request)) * problem.weight
     out = {}
     for s, r in enumerate(problem.segments.recording):

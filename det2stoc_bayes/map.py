@@ -7,7 +7,8 @@ from jaxtyping import Float
 
 from det2stoc_bayes.density import Density, scale_of
 from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged
-from det2stoc_bayes.optimize import Fit, fit_many, start_point
+from det2stoc_bayes.linearization import start_point
+from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import cut
 

@@ -2,58 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from det2stoc_bayes.engines.base import Start
-from det2stoc_bayes.likelihood import LatentStarts, factorize
-from det2stoc_bayes.problem import Problem, merge_requests, repeat_start
+from det2stoc_bayes.linearization import Linearization, Point, linearize, simulate, start_point, tangent
+from det2stoc_bayes.problem import Problem
 
-UNKNOWN_STEP = 1e-3  # of a prior sd: finite difference in an unknown
-START_STEP = 1e-4  # of a coordinate's spread: finite difference in an initial state
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
 SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
 NUM_RESPREADS = 8  # rounds in which the spreads of psi by recording settle
 LARGEST_STEP = 3.0  # prior sds in one iteration
 FARTHEST = 6.0  # prior sds of psi from its median: beyond it a bounded prior's quantiles lose their digits
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """Where a hypothesis stands: unknowns and initial states."""
-
-    z: Float[np.ndarray, " size"]
-    start: Start
-
-
-@dataclass(frozen=True, eq=False)
-class Linearization:
-    """Prediction error at a point and what it would take to change it."""
-
-    problem: Problem
-    point: Point
-    latent: LatentStarts
-    stacked: Float[np.ndarray, "segments stacked 1"]  # whitened residual over the start prior's
-    columns: Float[np.ndarray, "segments stacked size"]  # its sensitivity to the unknowns (sign: of the prediction)
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Recorded values less those that the initial states use up."""
-        return max(self.latent.num_observed - self.problem.segments.count * self.latent.prior_sd.shape[1], 1)
-
-    def gram(
-        self,
-    ) -> tuple[
-        Float[np.ndarray, "segments size size"],
-        Float[np.ndarray, "segments size"],
-        Float[np.ndarray, " segments"],
-    ]:
-        """Per segment J'J, J'r and r'r after the initial states are integrated out."""
-        j, r = self.latent.project(self.columns), self.latent.project(self.stacked)[..., 0]
-        return np.swapaxes(j, 1, 2) @ j, np.einsum("snk,sn->sk", j, r), (r**2).sum(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,75 +42,8 @@ class Fit:
     @property
     def noise_inflation(self) -> float:
         """Whitened squared residual over its degrees of freedom: 1 under the right model."""
-        return self.chi2 / max(self.linear.degrees_of_freedom - self.problem.size, 1)
-
-
-def start_point(problem: Problem, z: Float[np.ndarray, " size"] | None = None) -> Point:
-    """The prior's median and the recorded starts."""
-    return Point(np.zeros(problem.size) if z is None else np.asarray(z, float), problem.guess.start)
-
-
-def linearize(
-    points: Sequence[tuple[Problem, Point]], *, unknowns: Literal["all", "own"] = "all"
-) -> list[Linearization | None]:
-    """Predictions and finite-difference sensitivities of every hypothesis in one batch; None where they diverge.
-
-    With "own" only what belongs to single recordings (starts, values of a psi that varies) is moved; the columns of
-    the other unknowns are zero.
-    """
-    requests = []
-    for problem, point in points:
-        states, probes = problem.guess.scale.shape[0], problem.probes(unknowns)
-        variants = 1 + states + len(probes)
-        start = repeat_start(point.start, variants)
-        change = np.zeros((variants, problem.segments.count, states))
-        change[1 + np.arange(states), :, np.arange(states)] = (START_STEP * problem.guess.scale)[:, None]
-        z = np.tile(point.z, (variants, 1))
-        for k, moved in enumerate(probes):
-            z[1 + states + k, moved] += UNKNOWN_STEP
-        requests.append(problem.request(z, problem.moved(start, change.reshape(-1, states))))
-    predicted = _simulate(points, requests)
-    return [
-        _assemble(problem, point, p, problem.probes(unknowns))
-        for (problem, point), p in zip(points, predicted, strict=True)
-    ]
-
-
-def _simulate(points, requests) -> list[np.ndarray]:
-    merged = merge_requests(requests)
-    predicted = points[0][0].simulator.rollout(merged)
-    return np.split(predicted, np.cumsum([len(r.which) for r in requests])[:-1])
-
-
-def _assemble(problem: Problem, point: Point, predicted: np.ndarray, probes) -> Linearization | None:
-    states, count = problem.guess.scale.shape[0], problem.segments.count
-    base = predicted[:count]
-    if not np.isfinite(base).all():
-        return None
-    r = problem.residuals(predicted).reshape(-1, count, problem.weight.shape[1])
-    change = np.nan_to_num(r[0] - r[1:])  # a perturbation that diverges tells nothing
-    a = np.moveaxis(change[:states], 0, -1) / (START_STEP * problem.guess.scale)
-    j = np.zeros((*change.shape[1:], problem.size))
-    for moved, column in zip(probes, change[states:] / UNKNOWN_STEP, strict=True):
-        if len(moved) == 1:
-            j[..., moved[0]] = column
-            continue
-        for k, i in enumerate(moved):
-            mine = problem.segments.recording == k
-            j[mine, :, i] = column[mine]
-    latent = factorize(a, problem.weight, problem.guess.prior_sd)
-    offset = _tangent(problem, point.start)[..., None]
-    return Linearization(problem, point, latent, latent.stack(r[0][..., None], offset), latent.stack(j))
-
-
-def _tangent(problem: Problem, start: Start) -> Float[np.ndarray, "segments states"]:
-    """How far the guessed starts lie from these, in tangent coordinates (rotations: their wide prior is ignored)."""
-    guess, model = problem.guess.start, problem.simulator.model
-    out = np.zeros((problem.segments.count, 2 * model.nv))
-    if model.nq == model.nv:
-        out[:, : model.nv] = guess.qpos - start.qpos
-    out[:, model.nv :] = guess.qvel - start.qvel
-    return out
+        free = max(self.linear.degrees_of_freedom - self.problem.size, 1)
+        return self.chi2 / self.problem.measurement.mean_square / free
 
 
 def fit_many(
@@ -264,7 +159,7 @@ def _moved(lin: Linearization, step: _Step, fraction: float) -> Point:
 def noise_scale(lin: Linearization, chi2: float, free_scale: bool) -> float:
     """Variance ratio by which the misfit exceeds the noise, at least 1."""
     dof = max(lin.degrees_of_freedom - lin.problem.size, 1)
-    return max(1.0, chi2 / dof) if free_scale else 1.0
+    return max(1.0, chi2 / lin.problem.measurement.mean_square / dof) if free_scale else 1.0
 
 
 def _newton_step(lin: Linearization, free_scale: bool) -> _Step:
@@ -314,7 +209,7 @@ def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> lis
         tried.append(points)
         start = Start(*(np.concatenate([getattr(p.start, a) for p in points]) for a in ("qpos", "qvel", "act")))
         requests.append(lin.problem.request(np.stack([p.z for p in points]), start))
-    predicted = _simulate([(lin.problem, lin.point) for lin in linear], requests)
+    predicted = simulate([(lin.problem, lin.point) for lin in linear], requests)
     best = []
     for lin, step, points, p in zip(linear, steps, tried, predicted, strict=True):
         objective = _objective(lin, points, p, step.s2)
@@ -325,8 +220,8 @@ def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> lis
 
 def _objective(lin: Linearization, points: Sequence[Point], predicted: np.ndarray, s2: float) -> np.ndarray:
     r = lin.problem.residuals(predicted).reshape(len(points), lin.problem.segments.count, -1)
-    misfit = ((r * lin.problem.weight) ** 2).sum((1, 2))
-    below = [((_tangent(lin.problem, p.start) / lin.problem.guess.prior_sd) ** 2).sum() for p in points]
+    misfit = (lin.problem.measurement.bend(r * lin.problem.weight) ** 2).sum((1, 2))
+    below = [((tangent(lin.problem, p.start) / lin.problem.guess.prior_sd) ** 2).sum() for p in points]
     total = (misfit + np.array(below)) / s2 + np.array([p.z @ p.z for p in points])
     finite = np.isfinite(predicted).all((1, 2)).reshape(len(points), -1).all(1)
     return np.where(finite, total, np.inf)

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from det2stoc_bayes.errors import SimulationDiverged
-from det2stoc_bayes.optimize import Fit, Point, fit_many
+from det2stoc_bayes.linearization import Point
+from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.unknowns import LEAST_SPREAD
 

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.engines.layout import integrate_positions, quaternion_groups
 from det2stoc_bayes.likelihood import residuals
+from det2stoc_bayes.measurement import Measurement
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 from det2stoc_bayes.noise import noise_sd
 from det2stoc_bayes.segments import Segments, cut
@@ -63,7 +64,12 @@ class Problem:
     @cached_property
     def quaternions(self) -> list[list[int]]:
         """Column groups that are one rotation."""
-        return quaternion_groups(self.segments.columns)
+        return quaternion_groups(self.segments.columns, self.simulator.study.names.quaternions)
+
+    @property
+    def measurement(self) -> Measurement:
+        """How recorded values scatter."""
+        return self.simulator.study.measurement
 
     @cached_property
     def weight(self) -> Float[np.ndarray, "segments values"]:

@@ -12,10 +12,14 @@ from jaxtyping import Bool, Float
 
 from det2stoc_bayes.engines.model_names import ModelNames
 from det2stoc_bayes.errors import StudyError, listing
+from det2stoc_bayes.recording_angles import unwrap
 from det2stoc_bayes.recording_files import Table, read_csv, read_parquet
+from det2stoc_bayes.recording_glitches import glitches
 from det2stoc_bayes.suggestions import choices
 
 MOST_NORM_ERROR = 1e-2  # of a quaternion: rounding is normalised away, more is a mistake
+MOST_BYTES = 1_000_000_000  # of a file: its numbers are held in memory at once
+BEYOND = 0.05  # of a joint's range: what soft limits and noise may exceed it by
 LEAST_SUSPECT_SPAN = 50.0  # rad, eight turns: more may be degrees
 DEGREES = math.degrees(1.0)
 
@@ -38,6 +42,7 @@ class Recording:
     values: Float[np.ndarray, "samples columns"]
     ctrl: Float[np.ndarray, "samples actuators"]
     path: Path
+    commanded: tuple[str, ...] = ()  # the controls that the file has, `ctrl/<actuator>`
 
 
 def read_recording(path: Path, names: ModelNames) -> Recording:
@@ -48,6 +53,8 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
         raise StudyError(f"{label}: cannot read a '{path.suffix}' file; allowed: {listing(readers)}")
     if not path.is_file():
         raise StudyError(f"{label}: no such file; allowed: a .csv or .parquet file")
+    if path.stat().st_size > MOST_BYTES:
+        raise StudyError(f"{label}: found {path.stat().st_size / 1e9:.1f} GB; allowed: at most {MOST_BYTES / 1e9:g} GB")
     table = readers[path.suffix.lower()](path, label, partial(_check_header, names))
     if len(table.cells) < 2:
         found = "no sample" if len(table.cells) == 0 else "a single sample"
@@ -58,12 +65,15 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
             raise table.fail(f"column {column}: found no value at all; allowed: numbers (leave the column out)")
     columns = tuple(c for c in table.header if c in names.columns)
     values = np.stack([table.column(c) for c in columns], axis=1)
+    _unwrap(label, columns, values, names)
     _normalise_quaternions(table, columns, values, names)
+    _drop_glitches(table, time, columns, values, names)
     _warn(label, time, columns, values, names)
     ctrl = _controls(table, names)
     for data in (time, values, ctrl):
         data.setflags(write=False)
-    return Recording(path.stem, time, columns, values, ctrl, path)
+    commanded = tuple(c for c in table.header if c.startswith("ctrl/"))
+    return Recording(path.stem, time, columns, values, ctrl, path, commanded)
 
 
 def _check_header(names: ModelNames, label: str, header: tuple[str, ...]) -> None:
@@ -76,8 +86,7 @@ def _check_header(names: ModelNames, label: str, header: tuple[str, ...]) -> Non
             raise StudyError(f"{label}: unknown column '{column}'; {choices(column, ['time', *known], limit=20)}")
     if not set(header) & set(names.columns):
         raise StudyError(f"{label}: no measured column; found {listing(header)}; allowed: {listing(names.columns, 20)}")
-    for prefix in names.quaternions:
-        parts = [f"{prefix}/{part}" for part in ("qw", "qx", "qy", "qz")]
+    for parts in names.quaternions:
         missing = [part for part in parts if part not in header]
         if 0 < len(missing) < 4:
             raise StudyError(f"{label}: incomplete quaternion, without {listing(missing)}; allowed: {listing(parts)}")
@@ -95,28 +104,74 @@ def _checked_time(table: Table) -> Float[np.ndarray, " samples"]:
     return time
 
 
+def _unwrap(
+    label: str, columns: tuple[str, ...], values: Float[np.ndarray, "samples columns"], names: ModelNames
+) -> None:
+    """Undo in place what a recorder did to unlimited hinges that turn on."""
+    for j, column in enumerate(columns):
+        if column in names.hinges and names.hinges[column] is None:
+            values[:, j], jumps = unwrap(values[:, j])
+            if jumps:
+                _tell(f"{label}: {column}: wrapped into one turn, and unwrapped at {jumps} jumps of 2 pi")
+
+
+def _drop_glitches(
+    table: Table,
+    time: Float[np.ndarray, " samples"],
+    columns: tuple[str, ...],
+    values: Float[np.ndarray, "samples columns"],
+    names: ModelNames,
+) -> None:
+    """Empty, in place, single samples that stand alone; an orientation goes as a whole."""
+    groups = {c: group for group in names.quaternions for c in group if group[0] in columns}
+    smooth = _of_one_sign(columns, values, names)
+    found = {c: glitches(time, smooth[:, j]) for j, c in enumerate(columns) if c not in names.abrupt}
+    for column, alone in found.items():
+        if alone.any():
+            rows = np.flatnonzero(alone)
+            shown = listing((str(table.lines[int(i)]) for i in rows), 5)
+            many = "a single sample out of line is" if len(rows) == 1 else f"{len(rows)} samples out of line are"
+            _tell(f"{table.label}: {column}: {many} treated as dropped: {table.unit} {shown}")
+            for c in groups.get(column, (column,)):
+                values[rows, columns.index(c)] = np.nan
+
+
 def _normalise_quaternions(
     table: Table, columns: tuple[str, ...], values: Float[np.ndarray, "samples columns"], names: ModelNames
 ) -> None:
-    """Make every quaternion in `values` a unit one, and drop those with an empty component, in place."""
-    for prefix in names.quaternions:
-        if f"{prefix}/qw" not in columns:
+    """Make every quaternion a unit one, and drop those with an empty component, in place."""
+    for group in names.quaternions:
+        if group[0] not in columns:
             continue
-        parts = [columns.index(f"{prefix}/{part}") for part in ("qw", "qx", "qy", "qz")]
+        parts, shown = [columns.index(c) for c in group], f"{group[0]} to /{group[-1].rpartition('/')[2]}"
         norm = np.sqrt((values[:, parts] ** 2).sum(axis=1))
         wrong = np.flatnonzero(np.abs(norm - 1) > MOST_NORM_ERROR)
         if len(wrong):
             raise table.fail(
-                f"columns {prefix}/qw to /qz: found a quaternion of norm {norm[wrong[0]]:.6g}; allowed: 1 "
+                f"columns {shown}: found a quaternion of norm {norm[wrong[0]]:.6g}; allowed: 1 "
                 f"within {MOST_NORM_ERROR:g}",
                 int(wrong[0]),
             )
         partly: Bool[np.ndarray, " samples"] = np.isnan(norm) & ~np.isnan(values[:, parts]).all(axis=1)
         if partly.any():
-            _tell(f"{table.label}: {prefix}: {partly.sum()} quaternions with an empty component are dropped")
+            _tell(f"{table.label}: {shown}: {partly.sum()} quaternions with an empty component are dropped")
         values[:, parts] /= norm[:, None]
         if np.isnan(norm).all():
-            raise table.fail(f"columns {prefix}/qw to /qz: none complete; allowed: 4 numbers")
+            raise table.fail(f"columns {shown}: none complete; allowed: 4 numbers")
+
+
+def _of_one_sign(
+    columns: tuple[str, ...], values: Float[np.ndarray, "samples columns"], names: ModelNames
+) -> Float[np.ndarray, "samples columns"]:
+    """The values with each quaternion of the sign that is nearer to the one before it."""
+    out = values.copy()
+    for group in names.quaternions:
+        if group[0] in columns:
+            parts = [columns.index(c) for c in group]
+            seen = np.flatnonzero(~np.isnan(values[:, parts[0]]))
+            turned = (values[seen[1:, None], parts] * values[seen[:-1, None], parts]).sum(axis=1) < 0
+            out[seen[1:, None], parts] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
+    return out
 
 
 def _controls(table: Table, names: ModelNames) -> Float[np.ndarray, "samples actuators"]:
@@ -150,6 +205,16 @@ def _warn(
     degrees = list(_in_degrees(time, columns, values, names))
     if degrees:
         _tell(f"{label}: looks like degrees: {listing(degrees)}; angles are in rad")
+    for column, limits in names.hinges.items():
+        if limits is None or column not in columns or column in degrees:
+            continue
+        position, slack = values[:, columns.index(column)], BEYOND * (limits[1] - limits[0])
+        low, high = float(np.nanmin(position)), float(np.nanmax(position))
+        if low < limits[0] - slack or high > limits[1] + slack:
+            shown = (
+                f"goes from {low:.4g} to {high:.4g} rad, and the joint's range is {limits[0]:.4g} to {limits[1]:.4g}"
+            )
+            _tell(f"{label}: {column} {shown} (degrees?)")
 
 
 def _in_degrees(

@@ -29,7 +29,7 @@ class Simulator:
 
     def __init__(self, study: Study, engine: str = "c", num_threads: int = 0):
         self.study = study
-        self.model = compile_model(study.model_path, study.folder)
+        self.model = compile_model(study.model_path, study.folder, general=True)
         self.parameters = study.parameters
         self.addresses = tuple(address(self.model, p.target, p.index) for p in study.parameters)
         self.engine = _make_engine(self.model, engine, num_threads)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.model_names import (
     KINDS,
+    REFUSED,
     ModelNames,
     believed_value,
     compile_model,
@@ -20,9 +21,10 @@ from det2stoc_bayes.engines.model_names import (
     rows_of,
 )
 from det2stoc_bayes.errors import StudyError, listing
+from det2stoc_bayes.measurement import Measurement
 from det2stoc_bayes.priors import Prior
 from det2stoc_bayes.recording import Recording, StudyWarning, read_recording
-from det2stoc_bayes.study_file import FILES, PsiTable, check_stems, find_files, inside, read_toml
+from det2stoc_bayes.study_file import FILES, LikelihoodTable, PsiTable, check_stems, find_files, inside, read_toml
 from det2stoc_bayes.suggestions import choices
 
 if TYPE_CHECKING:
@@ -77,6 +79,7 @@ class Study:
     recordings: tuple[Recording, ...]
     holdout: tuple[Recording, ...]
     names: ModelNames
+    measurement: Measurement = Measurement()
 
 
 def load_study(folder: Path) -> Study:
@@ -99,9 +102,12 @@ def load_study(folder: Path) -> Study:
     check_stems(files, held_out, content.known, source)
     recordings = tuple(read_recording(path, names) for path in files)
     holdout = tuple(read_recording(path, names) for path in held_out)
+    _warn_of_controls((*recordings, *holdout), names)
     noise = _noise(content.noise, [c for r in (*recordings, *holdout) for c in r.columns], names, source)
     known = {stem: _known(values, model, names, f"{source}: known.{stem}") for stem, values in content.known.items()}
-    return Study(folder, folder.resolve().name, model_path, parameters, noise, known, recordings, holdout, names)
+    measurement = _measurement(content.likelihood, source)
+    name = folder.resolve().name
+    return Study(folder, name, model_path, parameters, noise, known, recordings, holdout, names, measurement)
 
 
 def _resolved(text: str, model: "mujoco.MjModel", names: ModelNames, where: str) -> tuple[Target, tuple[int, ...]]:
@@ -111,6 +117,9 @@ def _resolved(text: str, model: "mujoco.MjModel", names: ModelNames, where: str)
     except StudyError as error:
         raise StudyError(f"{where}: {error}") from error
     kind, name, field = target.kind, target.name, target.field
+    if (kind, field) in REFUSED:
+        reason = REFUSED[kind, field]
+        raise StudyError(f"{where}: '{text}': {reason}; allowed: {listing(names.fields[kind], 30)}")
     if field not in names.fields[kind]:
         raise StudyError(f"{where}: '{text}': {kind} has no field '{field}'; {choices(field, names.fields[kind], 30)}")
     if kind != "opt" and name != "*" and name not in names.elements[kind]:
@@ -121,6 +130,44 @@ def _resolved(text: str, model: "mujoco.MjModel", names: ModelNames, where: str)
     return target, names.fields[kind][field]
 
 
+def _warn_of_controls(recordings: Sequence[Recording], names: ModelNames) -> None:
+    for name in filter(None, names.actuators):
+        without = [r.name for r in recordings if f"ctrl/{name}" not in r.commanded]
+        if without:
+            message = f"ctrl/{name}: no such column in {listing(without, 5)}; the control is taken to be 0 there"
+            warnings.warn(message, StudyWarning, stacklevel=3)
+
+
+def _check_sign(parameter: Parameter, where: str) -> None:
+    """A mass cannot be negative, whatever the prior says."""
+    low, high = parameter.prior.support
+    if parameter.target.field not in NOT_NEGATIVE or low >= 0:
+        return
+    what = f"{parameter.target} is never negative"
+    if high <= 0:
+        raise StudyError(f"{where}.prior: found a support from {low:g} to {high:g}; allowed: above 0, since {what}")
+    unlikely = float(parameter.prior.from_normal(np.array(UNLIKELY)))
+    if unlikely < 0:
+        message = f"{where}.prior: {what}, but the prior falls below {unlikely:.3g} with probability 0.1 %"
+        warnings.warn(message, StudyWarning, stacklevel=5)
+
+
+def _measurement(table: LikelihoodTable, source: str) -> Measurement:
+    if table.noise == "student_t":
+        return Measurement(table.degrees_of_freedom)
+    if "degrees_of_freedom" in table.model_fields_set:
+        raise StudyError(
+            f'{source}: likelihood.degrees_of_freedom: found {table.degrees_of_freedom:g} with noise = "normal"; '
+            'allowed: with noise = "student_t"'
+        )
+    return Measurement()
+
+
+# Fields that a simulation needs to be 0 or more.
+NOT_NEGATIVE = frozenset(
+    ["mass", "inertia", "damping", "armature", "frictionloss", "friction", "size", "density", "viscosity"]
+)
+UNLIKELY = -3.0902  # standard normal quantile of 0.1 %
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _RESERVED = ("chain", "draw", "recording", "time")  # dimensions of the results
 
@@ -138,6 +185,7 @@ def _parameter(name: str, table: PsiTable, model: "mujoco.MjModel", names: Model
             "allowed: 'never', or a prior that has one"
         )
     parameter = Parameter(name, target, _index(table.index, shape, where, target), prior, table.varies)
+    _check_sign(parameter, where)
     low, high = prior.support
     believed = believed_value(model, target.kind, target.name, target.field)
     chosen = believed if parameter.index is None else believed[:, list(parameter.index)]

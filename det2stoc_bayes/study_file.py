@@ -30,12 +30,18 @@ _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
+class LikelihoodTable(_Strict):
+    noise: Literal["normal", "student_t"] = "normal"
+    degrees_of_freedom: _Positive = 4.0
+
+
 class StudyFile(_Strict):
     model: str = "model.xml"
     recordings: str = "recordings/*.csv"
     holdout: str = "holdout/*.csv"
     psi: dict[str, PsiTable] = {}
     noise: dict[str, _Positive] = {}
+    likelihood: LikelihoodTable = LikelihoodTable()
     known: dict[str, dict[str, _Finite | list[_Finite]]] = {}
 
 
@@ -66,7 +72,7 @@ def _first_problem(error: ValidationError) -> str:
     more = f" (and {len(rest)} more)" if rest and first["loc"][0] != "known" else ""
     key, found = ".".join(path), first["input"]
     if first["type"] == "extra_forbidden":
-        table = PsiTable if path[0] == "psi" else StudyFile
+        table = {"psi": PsiTable, "likelihood": LikelihoodTable}.get(path[0] if len(path) > 1 else "", StudyFile)
         return f"{key}: unknown key; {choices(path[-1], table.model_fields)}{more}"
     if first["type"] == "missing":
         return f"{key}: missing; found {listing(found)}; allowed: {listing(PsiTable.model_fields)}{more}"

@@ -9,8 +9,9 @@ import numpy as np
 from conftest import make_study, model_xml, state_columns, write_recording
 
 from det2stoc_bayes.engines.base import Start
+from det2stoc_bayes.linearization import Point, start_point
 from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect, Typical
-from det2stoc_bayes.optimize import Fit, Point, fit_many, start_point
+from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem, make_problem
 from det2stoc_bayes.recording import Recording
 from det2stoc_bayes.simulator import Simulator

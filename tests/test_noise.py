@@ -52,3 +52,42 @@ def test_too_few_samples_fall_back_on_the_spread():
     values = np.array([[0.0, 1.0], [1.0, 1.0], [2.0, 1.0], [3.0, 1.0]])
     found = noise_sd(segments(values), {})
     assert found[0] == pytest.approx(np.std([0, 1, 2, 3])) and found[1] > 0
+
+
+@pytest.mark.parametrize("turn", [0.04, 0.3, 0.8])  # rad of the motion between samples
+@pytest.mark.parametrize("length", [100, 300, 1500])
+def test_coarsely_sampled_motion_does_not_count_as_noise(turn, length):
+    random = np.random.default_rng(0)
+    found = []
+    for _ in range(10):
+        motion = np.sin(turn * (np.arange(length) + random.uniform(0, 10)))
+        found.append(noise_sd(segments(motion[:, None] + 1e-3 * random.standard_normal((length, 2))), {})[0])
+    # Measured: 0.99 to 1.04 on average; third differences alone gave 1.0, 6 and 110.
+    assert np.mean(found) == pytest.approx(1e-3, rel=0.15)
+
+
+def test_stiff_motion_counts_little():
+    i = np.arange(1500)
+    motion = np.sin(0.05 * i) + 0.2 * np.sin(1.2 * i) * np.exp(-i / 60)
+    found = noise_sd(segments(motion[:, None] + 1e-3 * np.random.default_rng(0).standard_normal((1500, 2))), {})
+    # Measured: 1.03 of the noise.
+    assert found[0] == pytest.approx(1e-3, rel=0.15)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.04, 0.4])
+def test_never_below_the_rounding_of_an_encoder(turn):
+    true = 0.3 + np.sin(turn * np.arange(1000))[:, None] + 1e-6 * np.random.default_rng(0).standard_normal((1000, 2))
+    rounded = np.round(true / 1e-3) * 1e-3
+    found = noise_sd(segments(rounded), {})[0]
+    # Measured: 1.00 of step / sqrt(12), also where the motion crosses hundreds of steps a sample; at rest the floor.
+    assert found == pytest.approx(1e-3 / np.sqrt(12) if turn else 1e-6, rel=0.1, abs=1e-6)
+
+
+def test_uneven_times_and_dropped_samples():
+    random = np.random.default_rng(0)
+    time = np.sort(random.uniform(0, 10, 1000))
+    values = np.sin(3 * time)[:, None] + 1e-3 * random.standard_normal((1000, 2))
+    values[random.random((1000, 2)) < 0.3] = np.nan
+    record = Recording("a", time, COLUMNS, values, np.zeros((1000, 0)), Path("a.csv"))
+    # Measured: 1.06.
+    np.testing.assert_allclose(noise_sd(cut([record]), {}), 1e-3, rtol=0.15)

@@ -8,7 +8,8 @@ from conftest import make_study, model_xml
 from simulated import PENDULUM, SPRING, dense_evidence, fit, noise_table, pose, recordings, spring_problem
 
 from det2stoc_bayes import optimize
-from det2stoc_bayes.optimize import fit_many, fit_starts, linearize, start_point
+from det2stoc_bayes.linearization import linearize, start_point
+from det2stoc_bayes.optimize import fit_many, fit_starts
 from det2stoc_bayes.segments import cut
 
 NUM_REPLICATIONS = 60

@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ NAMES = ModelNames(
     actuators=("motor", "", "servo"),
     elements={},
     fields={},
-    quaternions=("qpos/cube",),
+    quaternions=(tuple(f"qpos/cube/{p}" for p in ("qw", "qx", "qy", "qz")),),
     hinges={"qpos/elbow": (-1.5, 1.5), "qpos/wheel": None},
 )
 
@@ -200,3 +201,31 @@ def test_degrees_are_told_by_the_recorded_speed(tmp_path: Path, speed: float, su
         warnings.simplefilter("always")
         read_recording(tmp_path / "drop.csv", names)
     assert bool(caught) is suspect
+
+
+def test_a_wrapped_wheel_is_unwrapped_and_said_so(tmp_path: Path):
+    true = np.linspace(0.0, 30.0, 60)
+    rows = "".join(f"{i},{float((v + np.pi) % (2 * np.pi) - np.pi)!r}\n" for i, v in enumerate(true))
+    with pytest.warns(StudyWarning, match="qpos/wheel: wrapped into one turn, and unwrapped at 5 jumps"):
+        found = read(tmp_path, "time,qpos/wheel\n" + rows)
+    np.testing.assert_allclose(found.values[:, 0], true, atol=1e-12)
+
+
+def test_a_glitch_is_dropped_and_named_and_takes_its_orientation_along(tmp_path: Path):
+    angle = 0.05 * np.arange(60)
+    quaternion = np.stack([np.cos(angle / 2), np.sin(angle / 2), 0 * angle, 0 * angle], 1)
+    quaternion[30:] *= -1
+    quaternion[40] = [0.6, 0.8, 0.0, 0.0]
+    slide = np.sin(0.1 * np.arange(60))
+    slide[20] += 1.0
+    header = "time," + ",".join(CUBE[3:]) + ",qpos/slide,sensor/gyro/0\n"
+    rows = np.column_stack([np.arange(60), quaternion, slide, slide])
+    lines = [",".join(map(repr, map(float, row))) for row in rows]
+    names = replace(NAMES, abrupt=("sensor/gyro/0",))
+    (tmp_path / "b.csv").write_text(header + "\n".join(lines))
+    with pytest.warns(StudyWarning) as told:
+        found = read_recording(tmp_path / "b.csv", names)
+    said = "\n".join(str(w.message) for w in told)
+    assert "qpos/slide: a single sample out of line is treated as dropped: line 22" in said
+    assert "qpos/cube/qw: a single sample out of line is treated as dropped: line 42" in said
+    assert np.argwhere(np.isnan(found.values)).tolist() == [[20, 4], [40, 0], [40, 1], [40, 2], [40, 3]]

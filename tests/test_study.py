@@ -16,7 +16,7 @@ from det2stoc_bayes.engines.model_names import (
     model_names,
     rows_of,
 )
-from det2stoc_bayes.errors import Det2StocError, ModelError
+from det2stoc_bayes.errors import Det2StocError, ModelError, StudyError
 from det2stoc_bayes.recording import StudyWarning
 from det2stoc_bayes.study import Target, load_study
 
@@ -120,7 +120,7 @@ def test_names_of_the_model(folder: Path):
     assert names.columns[-3:] == ("sensor/gyro/1", "sensor/gyro/2", "sensor/encoder")
     assert not {"qpos/ball/x", "qvel/ball/vx", "sensor/gyro", "sensor/"} & set(names.columns)
     assert names.actuators == ("motor", "") and names.elements["actuator"] == ("motor",)
-    assert names.quaternions == ("qpos/box", "qpos/ball")
+    assert names.quaternions == tuple(tuple(f"qpos/{j}/{p}" for p in ("qw", "qx", "qy", "qz")) for j in ("box", "ball"))
     assert names.hinges == {"qpos/robot/elbow": pytest.approx((-np.pi / 2, np.pi / 2))}
     assert names.elements["body"] == ("box", "tip", "arm")
     assert set(names.fields) == set(names.elements) == set(KINDS)
@@ -343,3 +343,9 @@ def test_real_studies_load(name: str):
 def test_import_leaves_jax_and_mujoco_alone():
     code = "import sys, det2stoc_bayes.study; sys.exit(bool({'jax', 'mujoco', 'numpyro'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_the_timestep_is_no_psi(folder: Path):
+    (folder / "study.toml").write_text('[psi.step]\ntarget = "opt/timestep"\nprior = { HalfNormal = {} }\n')
+    with pytest.raises(StudyError, match=r"psi.step.target: 'opt/timestep': the samples' times .*allowed: gravity"):
+        load_study(folder)

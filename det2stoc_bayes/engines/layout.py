@@ -1,5 +1,6 @@
 """Where recorded columns and named elements sit in a compiled model's arrays."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -25,32 +26,39 @@ class ColumnAddress:
 
 
 def column_address(model: mujoco.MjModel, column: str) -> ColumnAddress:
-    """Address of `qpos/<joint>[/<part>]`, `qvel/<joint>[/<part>]` or `sensor/<name>[/<i>]`."""
-    source, name, *rest = column.split("/")
+    """Address of `qpos/<joint>[/<part>]`, `qvel/<joint>[/<part>]` or `sensor/<name>[/<i>]`; names may hold slashes."""
+    source, _, rest = column.partition("/")
     if source == "sensor":
-        sensor = model.sensor(name)
-        return ColumnAddress("sensordata", int(sensor.adr[0]) + int(rest[0] if rest else 0), "")
-    joint = model.joint(name)
-    kind = int(model.jnt_type[joint.id])
-    if not rest:
+        number, part = _element_and_part(model, mujoco.mjtObj.mjOBJ_SENSOR, rest)
+        return ColumnAddress("sensordata", int(model.sensor_adr[number]) + int(part or 0), "")
+    number, part = _element_and_part(model, mujoco.mjtObj.mjOBJ_JOINT, rest)
+    joint, kind = model.joint(number), int(model.jnt_type[number])
+    if not part:
         unit = "rad" if kind == _HINGE else "m"
         address = joint.qposadr[0] if source == "qpos" else joint.dofadr[0]
         return ColumnAddress(source, int(address), unit if source == "qpos" else f"{unit}/s")
     parts = POSITION_PARTS if source == "qpos" else VELOCITY_PARTS
     shift = 0 if kind == _FREE else 3
     base = joint.qposadr[0] if source == "qpos" else joint.dofadr[0]
-    unit = "1" if rest[0].startswith("q") else "rad" if rest[0] in _ROTATIONAL else "m"
-    return ColumnAddress(source, int(base) + parts[rest[0]] - shift, unit if source == "qpos" else f"{unit}/s")
+    unit = "1" if part.startswith("q") else "rad" if part in _ROTATIONAL else "m"
+    return ColumnAddress(source, int(base) + parts[part] - shift, unit if source == "qpos" else f"{unit}/s")
 
 
-def quaternion_groups(columns: tuple[str, ...]) -> list[list[int]]:
-    """Indices of the four components of every fully recorded quaternion."""
-    groups = []
-    for i, column in enumerate(columns):
-        stem, _, part = column.rpartition("/")
-        if part == "qw" and all(f"{stem}/{p}" in columns for p in ("qx", "qy", "qz")):
-            groups.append([i] + [columns.index(f"{stem}/{p}") for p in ("qx", "qy", "qz")])
-    return groups
+def _element_and_part(model: mujoco.MjModel, kind: mujoco.mjtObj, rest: str) -> tuple[int, str]:
+    """Number of the element that is named in `<name>` or `<name>/<part>`, and the part."""
+    whole = mujoco.mj_name2id(model, kind, rest)
+    if whole >= 0:
+        return whole, ""
+    name, _, part = rest.rpartition("/")
+    number = mujoco.mj_name2id(model, kind, name)
+    if number < 0:
+        raise KeyError(f"the model has neither '{rest}' nor '{name}'")
+    return number, part
+
+
+def quaternion_groups(columns: Sequence[str], quaternions: Sequence[Sequence[str]]) -> list[list[int]]:
+    """Indices of the four components of every fully recorded quaternion; `quaternions` are a model's columns."""
+    return [[columns.index(c) for c in group] for group in quaternions if set(group) <= set(columns)]
 
 
 def joint_elements(model: mujoco.MjModel) -> list[Element]:

@@ -29,7 +29,7 @@ _ARRAYS = (
     ("actuator", "actuator_", "dampingpoly delay cranklength"),
     ("tendon", "tendon_", "stiffness stiffnesspoly damping dampingpoly frictionloss armature lengthspring"),
     ("tendon", "tendon_", "range margin solref_lim solimp_lim solref_fri solimp_fri actfrcrange"),
-    ("opt", "opt.", "gravity wind magnetic density viscosity timestep impratio"),
+    ("opt", "opt.", "gravity wind magnetic density viscosity impratio"),
     ("opt", "opt.", "o_margin o_solref o_solimp o_friction"),
 )
 KINDS = tuple(dict.fromkeys(kind for kind, _, _ in _ARRAYS))
@@ -42,6 +42,10 @@ _FIELDS["joint"] |= {
     "solimpfriction": "dof_solimp",
     "springref": "qpos_spring",
 }
+# What a target may not set, and why; where a reason stands, it is the error's.
+REFUSED = {
+    ("opt", "timestep"): "the samples' times hang on the step, and a diagnosis tries finer ones by itself",
+}
 _FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint, whose members `in` does not find among numpy numbers
 
 
@@ -51,16 +55,18 @@ class ModelNames:
 
     `columns`: all that can be recorded, controls excluded. `actuators`: one a control, "" where unnamed.
     `elements`: the named elements of each kind. `fields`: of each kind, the shape of one element's field.
-    `quaternions`: the prefixes whose columns /qw /qx /qy /qz are one orientation.
+    `quaternions`: the columns, four each, that are one orientation; of joints and of sensors.
     `hinges`: the position columns of hinge joints with their range, None where unlimited.
+    `abrupt`: columns of accelerations and forces, in which one sample may rightly stand alone.
     """
 
     columns: tuple[str, ...]
     actuators: tuple[str, ...]
     elements: Mapping[str, tuple[str, ...]]
     fields: Mapping[str, Mapping[str, tuple[int, ...]]]
-    quaternions: tuple[str, ...] = ()
+    quaternions: tuple[tuple[str, ...], ...] = ()
     hinges: Mapping[str, tuple[float, float] | None] = dataclass_field(default_factory=dict)
+    abrupt: tuple[str, ...] = ()
 
 
 def field_of(kind: str, field: str) -> str:
@@ -72,8 +78,11 @@ def field_of(kind: str, field: str) -> str:
     return _FIELDS[kind][field]
 
 
-def compile_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
-    """The compiled MJCF at `path`; neither it nor a file it includes or loads may lie outside of `folder`."""
+def compile_model(path: Path, folder: Path | None = None, *, general: bool = False) -> "mujoco.MjModel":
+    """The compiled MJCF at `path`; neither it nor a file it includes or loads may lie outside of `folder`.
+
+    With `general` no body keeps MuJoCo's simple form, in which its centre of mass must stay where it is.
+    """
     import mujoco
 
     if not path.is_file():
@@ -83,7 +92,13 @@ def compile_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
         raise ModelError(f"{path.name}: the model is an MJCF file; allowed: .xml")
     _refuse_outside(path, (folder or path.parent).resolve())
     try:
-        return mujoco.MjModel.from_xml_path(str(path))
+        model = mujoco.MjModel.from_xml_path(str(path))
+        if not general or not model.body_simple[1:].any():
+            return model
+        spec = mujoco.MjSpec.from_file(str(path))
+        for body in spec.bodies[1:]:
+            body.simple = False
+        return spec.compile()
     except ValueError as error:
         raise ModelError(f"{path.name}: does not compile: {'; '.join(str(error).split(chr(10)))}") from error
 
@@ -121,29 +136,36 @@ def _files_named(xml: Path, main: Path) -> list[Path]:
 
 def model_names(model: "mujoco.MjModel") -> ModelNames:
     """What can be recorded from a compiled model, and what a target can name; nothing unnamed."""
+    import mujoco
     from mujoco.batch import MODEL_FIELDS  # what this MuJoCo can vary from simulation to simulation
 
     columns: list[str] = []
-    quaternions: list[str] = []
+    quaternions: list[tuple[str, ...]] = []
     hinges: dict[str, tuple[float, float] | None] = {}
+    abrupt: list[str] = []
     for joint in map(model.joint, range(model.njnt)):
         if joint.name:
             columns += _joint_columns(joint.name, joint.type[0])
             if joint.type[0] in (_FREE, _BALL):
-                quaternions.append(f"qpos/{joint.name}")
+                quaternions.append(tuple(f"qpos/{joint.name}/{part}" for part in ("qw", "qx", "qy", "qz")))
             if joint.type[0] == _HINGE:
                 limited = model.jnt_limited[joint.id]
                 hinges[f"qpos/{joint.name}"] = (float(joint.range[0]), float(joint.range[1])) if limited else None
     for sensor in map(model.sensor, range(model.nsensor)):
         if sensor.name:
             size = int(sensor.dim[0])
-            columns += [f"sensor/{sensor.name}"] if size == 1 else [f"sensor/{sensor.name}/{i}" for i in range(size)]
+            own = [f"sensor/{sensor.name}"] if size == 1 else [f"sensor/{sensor.name}/{i}" for i in range(size)]
+            columns += own
+            if model.sensor_datatype[sensor.id] == mujoco.mjtDataType.mjDATATYPE_QUATERNION:
+                quaternions.append(tuple(own))
+            if model.sensor_needstage[sensor.id] == mujoco.mjtStage.mjSTAGE_ACC:
+                abrupt += own
     elements = {kind: tuple(name for _, name in _named(model, kind)) for kind in KINDS}
     fields = {
         kind: {f: _shape(model, kind, f) for f, array in known.items() if array in MODEL_FIELDS}
         for kind, known in _FIELDS.items()
     }
-    return ModelNames(tuple(columns), _controls(model), elements, fields, tuple(quaternions), hinges)
+    return ModelNames(tuple(columns), _controls(model), elements, fields, tuple(quaternions), hinges, tuple(abrupt))
 
 
 def rows_of(model: "mujoco.MjModel", kind: str, name: str, field: str) -> Int[np.ndarray, " rows"]:

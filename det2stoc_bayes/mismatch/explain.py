@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.screen import Screened, screen
-from det2stoc_bayes.optimize import Fit, Point, fit_many
+from det2stoc_bayes.optimize import Fit, fit_many
 
 NUM_REFINED = 6
 PROMISING = 0.3  # of the best screened evidence: what earns less is not refined

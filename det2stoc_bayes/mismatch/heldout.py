@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.optimize import Fit, Linearization, fit_starts
+from det2stoc_bayes.linearization import Linearization
+from det2stoc_bayes.optimize import Fit, fit_starts
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.recording import Recording
 from det2stoc_bayes.segments import cut
@@ -79,7 +80,7 @@ def _one(fit: Fit, z: np.ndarray, recording: Recording):
     path = np.concatenate([p[:n] for p, n in zip(predicted, segments.lengths, strict=True)])
     return (
         normalizer - 0.5 * chi2,
-        chi2,
+        chi2 / problem.measurement.mean_square,
         float(lin.degrees_of_freedom),
         (error**2).sum((0, 1)),
         counted.sum((0, 1)).astype(float),

@@ -4,8 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.mismatch.evidence import whitened
-from det2stoc_bayes.optimize import Fit, fit_many, start_point
+from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import cut
 

@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.evidence import log_evidence
-from det2stoc_bayes.optimize import Fit, Point, fit_many
+from det2stoc_bayes.optimize import Fit, fit_many
 
 FINE = 4  # times finer, by RK4: the reference
 RATIOS = (1, 2, 4)  # timesteps tried for "what converges", coarsest first

@@ -14,8 +14,9 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.engines.layout import integrate_positions, position_difference
+from det2stoc_bayes.linearization import START_STEP
 from det2stoc_bayes.mismatch.effects.base import JointState, PlacedEffect
-from det2stoc_bayes.optimize import START_STEP, Fit
+from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import merge_requests
 from det2stoc_bayes.segments import from_pieces
 

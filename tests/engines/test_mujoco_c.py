@@ -248,3 +248,24 @@ def test_counts_what_it_ran(compiled):
     engine = MujocoC(model)
     engine.rollout(request(model, np.arange(6) * 0.02, np.zeros((4, 1)), np.zeros((4, 1))))
     assert (engine.counter.simulations, engine.counter.steps) == (4, 4 * 50)
+
+
+def test_a_simple_body_takes_another_centre_of_mass(tmp_path):
+    """MuJoCo compiles a lone free body in a form that has its centre of mass fixed."""
+    toml = '[psi.offset]\ntarget = "body/stone/ipos"\nindex = [0]\nprior = { Normal = { scale = 0.1 } }\n'
+    study = make_study(tmp_path / "stone", model_xml(FREE), toml)
+    simulator = Simulator(study)
+    segments = cut(study.recordings)
+    model = mujoco.MjModel.from_xml_string(model_xml(FREE))
+    offset = 0.03
+    start = Start(model.qpos0[None], np.array([[0.0, 0, 0, 3, 2, 1]]), np.zeros((1, 0)))
+    fields = simulator.fields(np.array([[offset]]), ["one"])
+    found = simulator.rollout(Request(segments, np.zeros(1, int), start, fields))
+    inertia = " ".join(map(str, model.body_inertia[1]))
+    body = FREE.replace("</body>", f'<inertial pos="{offset} 0 0" mass="0.8" diaginertia="{inertia}"/></body>')
+    reference = mujoco.MjModel.from_xml_string(model_xml(body))
+    data = mujoco.MjData(reference)
+    data.qvel[:] = start.qvel[0]
+    for _ in range(250):
+        mujoco.mj_step(reference, data)
+    np.testing.assert_allclose(found[0, -1, :7], data.qpos, atol=1e-9)

@@ -8,6 +8,7 @@ from conftest import make_study, model_xml
 from simulated import SPRING, dense_evidence, fit, noise_table, place, pose, spring_problem
 
 from det2stoc_bayes.likelihood import LatentStarts
+from det2stoc_bayes.linearization import Linearization, start_point
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import (
     PRIOR_OF_NONE,
@@ -17,7 +18,7 @@ from det2stoc_bayes.mismatch.evidence import (
     whitened,
     widened,
 )
-from det2stoc_bayes.optimize import Fit, Linearization, start_point
+from det2stoc_bayes.optimize import Fit
 
 SMALL = Typical(force=0.2, speed=1.0, span=0.3, inertia=1.2)
 

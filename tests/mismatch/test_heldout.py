@@ -18,9 +18,9 @@ from simulated import (
     spring_problem,
 )
 
+from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.heldout import DIVERGED, evaluate, fitted, held_out, horizon_samples, leave_one_out
-from det2stoc_bayes.optimize import start_point
 from det2stoc_bayes.segments import cut
 from det2stoc_bayes.study import load_study
 

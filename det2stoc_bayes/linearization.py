@@ -1,0 +1,124 @@
+"""Predictions about a point: what each unknown and each latent start would change, by finite differences."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.engines.base import Start
+from det2stoc_bayes.engines.layout import position_difference
+from det2stoc_bayes.likelihood import LatentStarts, factorize, log_peak
+from det2stoc_bayes.problem import Problem, merge_requests, repeat_start
+from det2stoc_bayes.start_search import search_starts
+
+UNKNOWN_STEP = 1e-3  # of a prior sd: finite difference in an unknown
+START_STEP = 1e-4  # of a coordinate's spread: finite difference in an initial state
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where a hypothesis stands: unknowns and initial states."""
+
+    z: Float[np.ndarray, " size"]
+    start: Start
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """Prediction error at a point and what it would take to change it."""
+
+    problem: Problem
+    point: Point
+    latent: LatentStarts
+    stacked: Float[np.ndarray, "segments stacked 1"]  # whitened residual over the start prior's
+    columns: Float[np.ndarray, "segments stacked size"]  # its sensitivity to the unknowns (sign: of the prediction)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Recorded values less those that the initial states use up."""
+        return max(self.latent.num_observed - self.problem.segments.count * self.latent.prior_sd.shape[1], 1)
+
+    def gram(
+        self,
+    ) -> tuple[
+        Float[np.ndarray, "segments size size"],
+        Float[np.ndarray, "segments size"],
+        Float[np.ndarray, " segments"],
+    ]:
+        """Per segment J'J, J'r and r'r after the initial states are integrated out."""
+        j, r = self.latent.project(self.columns), self.latent.project(self.stacked)[..., 0]
+        return np.swapaxes(j, 1, 2) @ j, np.einsum("snk,sn->sk", j, r), (r**2).sum(1)
+
+
+def start_point(problem: Problem, z: Float[np.ndarray, " size"] | None = None) -> Point:
+    """The prior's median and the recorded starts, or the likeliest where some position was not recorded."""
+    z = np.zeros(problem.size) if z is None else np.asarray(z, float)
+    return Point(z, search_starts(problem, z, _linearize_starts))
+
+
+def _linearize_starts(points: Sequence[tuple[Problem, np.ndarray, Start]]) -> "list[Linearization | None]":
+    return linearize([(problem, Point(z, start)) for problem, z, start in points], unknowns="own")
+
+
+def linearize(
+    points: Sequence[tuple[Problem, Point]], *, unknowns: Literal["all", "own"] = "all"
+) -> list[Linearization | None]:
+    """Predictions and finite-difference sensitivities of every hypothesis in one batch; None where they diverge.
+
+    With "own" only what belongs to single recordings (starts, values of a psi that varies) is moved; the columns of
+    the other unknowns are zero.
+    """
+    requests = []
+    for problem, point in points:
+        states, probes = problem.guess.scale.shape[0], problem.probes(unknowns)
+        variants = 1 + states + len(probes)
+        start = repeat_start(point.start, variants)
+        change = np.zeros((variants, problem.segments.count, states))
+        change[1 + np.arange(states), :, np.arange(states)] = (START_STEP * problem.guess.scale)[:, None]
+        z = np.tile(point.z, (variants, 1))
+        for k, moved in enumerate(probes):
+            z[1 + states + k, moved] += UNKNOWN_STEP
+        requests.append(problem.request(z, problem.moved(start, change.reshape(-1, states))))
+    predicted = simulate(points, requests)
+    return [
+        _assemble(problem, point, p, problem.probes(unknowns))
+        for (problem, point), p in zip(points, predicted, strict=True)
+    ]
+
+
+def simulate(points, requests) -> list[np.ndarray]:
+    merged = merge_requests(requests)
+    predicted = points[0][0].simulator.rollout(merged)
+    return np.split(predicted, np.cumsum([len(r.which) for r in requests])[:-1])
+
+
+def _assemble(problem: Problem, point: Point, predicted: np.ndarray, probes) -> Linearization | None:
+    states, count = problem.guess.scale.shape[0], problem.segments.count
+    base = predicted[:count]
+    if not np.isfinite(base).all():
+        return None
+    r = problem.residuals(predicted).reshape(-1, count, problem.weight.shape[1])
+    change = np.nan_to_num(r[0] - r[1:])  # a perturbation that diverges tells nothing
+    a = np.moveaxis(change[:states], 0, -1) / (START_STEP * problem.guess.scale)
+    j = np.zeros((*change.shape[1:], problem.size))
+    for moved, column in zip(probes, change[states:] / UNKNOWN_STEP, strict=True):
+        if len(moved) == 1:
+            j[..., moved[0]] = column
+            continue
+        for k, i in enumerate(moved):
+            mine = problem.segments.recording == k
+            j[mine, :, i] = column[mine]
+    error, measurement = r[0] * problem.weight, problem.measurement
+    peak = log_peak(problem.weight, measurement)
+    latent = factorize(a, problem.weight * measurement.slope(error), problem.guess.prior_sd, peak)
+    stacked = latent.stack_whitened(measurement.bend(error)[..., None], tangent(problem, point.start)[..., None])
+    return Linearization(problem, point, latent, stacked, latent.stack(j))
+
+
+def tangent(problem: Problem, start: Start) -> Float[np.ndarray, "segments states"]:
+    """How far the guessed starts lie from these, in tangent coordinates."""
+    guess = problem.guess.start
+    apart = position_difference(problem.simulator.model, start.qpos, guess.qpos)
+    return np.concatenate([apart, guess.qvel - start.qvel], 1)
