@@ -164,7 +164,7 @@ def constrained(problem: Problem, z: Any, xp: ModuleType = np) -> Mapping[str, A
     psi = problem.psi(z, xp)
     values = [psi[..., j] for j in range(problem.num_psi)]
     for placed, parameters in zip(problem.effects, problem.effect_values(z, xp), strict=True):
-        values += [parameters[p.name] for p in placed.effect.parameters]
+        values += placed.scalars(parameters)
     return dict(zip(problem.names, values, strict=True))
 
 

@@ -49,8 +49,8 @@ class Problem:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """psi by name, then `<effect>[<element>].<parameter>`."""
-        added = [f"{e.key}.{p.name}" for e in self.effects for p in e.effect.parameters]
+        """psi by name, then `<effect>[<element>].<parameter>`, of a vector with `.x`, `.y`, `.z`."""
+        added = [name for e in self.effects for name in e.unknowns]
         return (*(p.name for p in self.simulator.parameters), *added)
 
     @cached_property
@@ -77,7 +77,7 @@ class Problem:
         return xp.stack(columns, -1) if columns else xp.zeros((*z.shape[:-1], 0))
 
     def effect_values(self, z: Array, xp: Any = np) -> list[dict[str, Array]]:
-        """Parameters (...) of each effect in their own units from unknowns (..., size) of either library."""
+        """Parameters (...), vectors (..., 3), of each effect in their own units from unknowns (..., size) of either library."""
         out, begin = [], self.num_psi
         for effect in self.effects:
             out.append(effect.from_normal([z[..., begin + i] for i in range(effect.size)], xp))
@@ -88,7 +88,7 @@ class Problem:
         """Every unknown by name in its own unit."""
         values = list(np.moveaxis(self.psi(z), -1, 0))
         for placed, parameters in zip(self.effects, self.effect_values(z), strict=True):
-            values += [parameters[p.name] for p in placed.effect.parameters]
+            values += placed.scalars(parameters)
         return dict(zip(self.names, values, strict=True))
 
     def request(self, z: Float[np.ndarray, "variants size"], start: Start) -> Request:

@@ -18,14 +18,17 @@ Values = Mapping[str, float | int | str | Sequence[float] | np.ndarray]  # of an
 # Hook of an effect -> its table in effects.py, and the functions of the runtime that serve it.
 _COLUMNS = ("measure", "at_time", "arrays", "place_of")
 _SERVED: dict[str, tuple[str, tuple[str, ...]]] = {
-    "joint_force": ("JOINT_FORCES", ("add_joint_forces",)),
+    "joint_force": ("JOINT_FORCES", ("add_joint_forces", "joint_state")),
     "body_force": ("BODY_FORCES", ("add_body_forces", "copy_state")),
+    "momentary": ("MOMENTARY", ("rewrite_fields", "restore_fields", "set_field", "joint_and_actuators", "drive_of")),
     "control": ("CONTROLS", ("rewrite_controls", "follow")),
     "sample_time": ("SAMPLE_TIMES", ("remember_state", "follow")),
     "reading": ("READINGS", ()),
 }
 _STEPS = {
+    "clock": "keep_clock",
     "control": "rewrite_controls",
+    "momentary": "rewrite_fields",
     "joint_force": "add_joint_forces",
     "body_force": "add_body_forces",
     "sample_time": "remember_state",
@@ -77,6 +80,8 @@ def module_text(effects: Sequence[tuple[PlacedEffect, Values]], fields: Sequence
                 laws.add(placed.effect, hook),
                 f"P{number}",
             ]
+            if hook == "momentary":
+                row = [repr(placed.element.kind), *row, repr(placed.effect.writes), repr(placed.effect.reads)]
             if hook == "control":
                 row.append(repr(placed.effect.memory({k: np.asarray(v) for k, v in values.items()})))
             tables[hook].append(f"({', '.join(row)})")
@@ -105,7 +110,7 @@ class _Laws:
 
     def add(self, effect: Effect, hook: str) -> str:
         """Embeds a method; gives its name in effects.py."""
-        name = f"{effect.name}_{hook}"
+        name = f"{_snake(type(effect).__name__)}_{hook}"  # forms of an effect have laws of their own
         if name not in self.sources:
             self.sources[name] = ""  # a helper that calls it back finds it
             function = getattr(type(effect), hook)
@@ -145,6 +150,10 @@ class _Laws:
             raise ModelError(f"effects.py: {found}; allowed: functions, numbers, numpy as np")
 
 
+def _snake(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+
+
 def _bare(tree: ast.Module) -> ast.Module:
     """The same without annotations: types of this package would not be found beside effects.py."""
     for node in ast.walk(tree):
@@ -172,7 +181,7 @@ def _header(active: Sequence[tuple[PlacedEffect, Values, tuple[str, ...]]], fiel
 
 
 def _imports(hooks: Sequence[str]) -> list[str]:
-    names = ["from types import SimpleNamespace"] if {"joint_force", "body_force"} & set(hooks) else []
+    names = ["from types import SimpleNamespace"] if {"joint_force", "body_force", "momentary"} & set(hooks) else []
     return [*names, "from weakref import WeakKeyDictionary", "", "import mujoco", "import numpy as np"]
 
 
