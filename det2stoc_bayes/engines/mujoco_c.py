@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import Counter, Request, Trajectory
-from det2stoc_bayes.engines.mujoco_chunk import Chunk
+from det2stoc_bayes.engines.mujoco_chunk import Chunk, num_before
 
 MAX_SIMULATIONS = 4096
 MAX_PERSISTENT = 512  # simulations that keep an MjData each (some 100 KB and more)
@@ -37,7 +37,8 @@ class MujocoC:
         width = model.nq + model.nv + model.nu + model.nsensordata
         keeping = any(e.placed.effect.uses("body_force") for e in request.effects)
         most = MAX_PERSISTENT if keeping else MAX_SIMULATIONS
-        size = int(np.clip(MAX_RECORDED // (width * steps.max(initial=1)), 1, most))
+        length = steps.max(initial=1) + num_before(request.effects, model.opt.timestep)
+        size = int(np.clip(MAX_RECORDED // (width * length), 1, most))
         parts = []
         for begin in range(0, len(steps), size):
             rows = slice(begin, min(begin + size, len(steps)))

@@ -1,6 +1,6 @@
 """Simulations in C that are stepped together."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import mujoco.batch
@@ -54,8 +54,9 @@ class Chunk:
         }
         if "sensordata" in sources:
             # A step's sensors describe the state before it; those of the last state are computed apart.
-            self.batch.forward()
-            series["sensordata"] = np.concatenate([record["sensordata"], self.batch.bind("sensordata")[:, None]], 1)
+            last = batch.bind("sensordata")
+            batch.forward()
+            series["sensordata"] = np.concatenate([record["sensordata"], last[:, None]], 1)
         columns = self._read(series)
         if not states:
             empty = np.empty((*columns.shape[:2], 0))
@@ -87,7 +88,7 @@ class Chunk:
     def _commands(self) -> Float[np.ndarray, "sims steps ctrl"]:
         """What arrives at the actuators at every step, and at the one after the last."""
         acting = [e for e in self.effects if e.placed.effect.uses("control")]
-        before = max((int(np.ceil(e.placed.effect.memory(e.parameters) / self.dt)) + 2 for e in acting), default=0)
+        before = num_before(acting, self.dt)
         used, inverse = np.unique(self.which, return_inverse=True)
         ctrl = self.segments.commands(used, self.dt, self.num_steps + 1, before)[inverse]
         time = self.segments.time[self.which, :1] + (np.arange(ctrl.shape[1]) - before) * self.dt
@@ -132,6 +133,12 @@ class Chunk:
         out[self._frozen(series["qvel"])] = np.nan
         out[~np.isfinite(out).all((1, 2)) | (np.abs(out).max((1, 2)) > 1e9)] = np.nan
         return out
+
+
+def num_before(effects: Sequence[EffectRows], dt: float) -> int:
+    """Steps before a start whose commands still matter."""
+    acting = [e for e in effects if e.placed.effect.uses("control")]
+    return max((int(np.ceil(e.placed.effect.memory(e.parameters) / dt)) + 2 for e in acting), default=0)
 
 
 def _restrict(e: EffectRows, rows: slice) -> EffectRows | None:

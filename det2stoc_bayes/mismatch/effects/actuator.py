@@ -5,7 +5,7 @@ import numpy as np
 from det2stoc_bayes.mismatch.effects.base import COMMAND_UNIT, Effect, EffectParameter, Trial, around, normal, onehot
 from det2stoc_bayes.priors import Prior
 
-SETTLED = 12.0  # time constants after which a filter has forgotten
+SETTLED = 23.0  # time constants after which a filter has forgotten all but 1e-10
 FULL = 2.0  # prior scale of a coefficient whose column stands at full size
 SATURATING = (0.9, 0.75, 0.55, 0.35, 0.15)  # of the largest command
 DEAD = (0.02, 0.05, 0.1, 0.2, 0.35)
