@@ -24,7 +24,7 @@ VALUES: dict[str, dict] = {
     "LinearDrag": {"coefficient": 0.6},
     "QuadraticDrag": {"coefficient": 0.6},
     "SizedDrag": {"drag_coefficient": 20.0},
-    "MagnusLift": {"coefficient": 0.3},
+    "MagnusLift": {"coefficient": 1.5},
     "PayloadMass": {"mass": 0.2, "offset": [0.2, 0.05, -0.1]},
     "MassError": {"mass": -0.15},
     "ComOffset": {"offset": [0.03, 0.01, -0.02]},

@@ -37,14 +37,14 @@ def screen(
     best: dict[PlacedEffect, Screened] = {}
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
-    for placed, trial, columns in _columns(fit, new, advance):
+    for placed, trial, columns in responses(fit, new, advance):
         found = _judge(fit, placed, trial, columns)
         if found is not None and (placed not in best or found.log_evidence > best[placed].log_evidence):
             best[placed] = found
     return sorted(best.values(), key=lambda s: -s.log_evidence)
 
 
-def _columns(fit: Fit, candidates, advance) -> Iterator[tuple[PlacedEffect, Trial, np.ndarray]]:
+def responses(fit: Fit, candidates, advance) -> Iterator[tuple[PlacedEffect, Trial, np.ndarray]]:
     """Change of the prediction (segments, values, k) by every trial."""
     response = Response(fit)
     for placed in candidates:
