@@ -57,8 +57,8 @@ class Problem:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """psi's unknowns, then `<effect>[<element>].<parameter>`."""
-        added = [f"{e.key}.{p.name}" for e in self.effects for p in e.effect.parameters]
+        """psi's unknowns, then `<effect>[<element>].<parameter>`, of a vector with `.x`, `.y`, `.z`."""
+        added = [name for e in self.effects for name in e.unknowns]
         return (*self.unknowns.names, *added)
 
     @cached_property
@@ -131,7 +131,7 @@ class Problem:
         return [*(np.array([i]) for i in range(self.size) if i not in own), *together]
 
     def effect_values(self, z: Array, xp: Any = np) -> list[dict[str, Array]]:
-        """Parameters (...) of each effect in their own units from unknowns (..., size) of either library."""
+        """Parameters (...), vectors (..., 3), of each effect in their own units from unknowns (..., size) of either library."""
         out, begin = [], self.num_psi
         for effect in self.effects:
             out.append(effect.from_normal([z[..., begin + i] for i in range(effect.size)], xp))
@@ -142,7 +142,7 @@ class Problem:
         """Every unknown by name in its own unit, for arrays (..., size) of either library."""
         out = self.unknowns.constrained(z, xp)
         for placed, parameters in zip(self.effects, self.effect_values(z, xp), strict=True):
-            out |= {f"{placed.key}.{p.name}": parameters[p.name] for p in placed.effect.parameters}
+            out |= dict(zip(placed.unknowns, placed.scalars(parameters), strict=True))
         return out
 
     def request(self, z: Float[np.ndarray, "variants size"], start: Start) -> Request:

@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.engines import layout
+from det2stoc_bayes.engines import elements
 from det2stoc_bayes.engines.base import Counter, Engine, Request
-from det2stoc_bayes.engines.model_names import compile_model, field_of, rows_of
+from det2stoc_bayes.engines.model_names import compile_loose_model, field_of, rows_of
 from det2stoc_bayes.engines.mujoco_c import MujocoC
 from det2stoc_bayes.errors import EngineError
 from det2stoc_bayes.mismatch.effects.base import Element
@@ -29,7 +29,7 @@ class Simulator:
 
     def __init__(self, study: Study, engine: str = "c", num_threads: int = 0):
         self.study = study
-        self.model = compile_model(study.model_path, study.folder, general=True)
+        self.model = compile_loose_model(study.model_path, study.folder)
         self.parameters = study.parameters
         self.addresses = tuple(address(self.model, p.target, p.index) for p in study.parameters)
         self.engine = _make_engine(self.model, engine, num_threads)
@@ -74,15 +74,23 @@ class Simulator:
 
     def elements(self, kind: str, columns: tuple[str, ...]) -> list[Element]:
         """The model's elements of a kind that an effect can sit on."""
-        if kind == "joint":
-            return layout.joint_elements(self.model)
         if kind == "body":
-            return layout.body_elements(self.model)
-        if kind == "actuator":
-            return layout.actuator_elements(self.model)
+            return elements.body_elements(self.model, self._resized)
+        if kind == "world":
+            varied = {a.field for a in (*self.addresses, *self._known.values())}
+            return elements.world_elements(self.model, varied)
         if kind == "sensor":
-            return layout.sensor_elements(self.model, columns)
+            return elements.sensor_elements(self.model, columns)
+        of_kind = {"joint": elements.joint_elements, "actuator": elements.actuator_elements}
+        if kind in of_kind:
+            return of_kind[kind](self.model)
         return [Element("simulator", "option")] if kind == "simulator" else []
+
+    @property
+    def _resized(self) -> frozenset[int]:
+        """Bodies with a geom whose size is known to differ between recordings."""
+        places = (place for a in self._known.values() if a.field == "geom_size" for place in a.places)
+        return frozenset(int(self.model.geom_bodyid[place[0]]) for place in places)
 
 
 def _make_engine(model: mujoco.MjModel, name: str, num_threads: int) -> Engine:

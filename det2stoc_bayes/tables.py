@@ -151,19 +151,21 @@ def effects_json(
             "element": e.kind,
             "law": e.law_text,
             "latex": e.law,
-            "parameters": [{"name": p.name, "unit": p.unit} for p in e.parameters],
+            "parameters": [{"name": p.name, "unit": p.unit, "size": p.size} for p in e.parameters],
             "description": (type(e).__doc__ or "").strip().splitlines()[0],
         }
-        for e in catalogue.values()
+        for effect in catalogue.values()
+        for e in effect.forms()
     ]
 
 
 def effects_table(catalogue: Mapping[str, "det2stoc_bayes.mismatch.effects.base.Effect"]) -> RenderableType:
     """The catalogue."""
     made = table("effects", "name", "on a", "law", "parameters")
-    for e in catalogue.values():
+    for e in (form for effect in catalogue.values() for form in effect.forms()):
         units = (" or ".join([p.unit] if isinstance(p.unit, str) else p.unit) for p in e.parameters)
-        named = (f"{p.name} [{unit}]" for p, unit in zip(e.parameters, units, strict=True))
+        sizes = ("" if p.size == 1 else f" x {p.size}" for p in e.parameters)
+        named = (f"{p.name} [{unit}]{size}" for p, unit, size in zip(e.parameters, units, sizes, strict=True))
         made.add_row(e.name, e.kind, escape(e.law_text), escape(", ".join(named)))
     return made
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,7 +17,13 @@ class EffectRows:
 
     placed: PlacedEffect
     rows: slice
-    parameters: Mapping[str, Float[np.ndarray, " rows"]]
+    parameters: Mapping[str, Float[np.ndarray, "rows *components"]]
+
+    @classmethod
+    def alike(cls, placed: PlacedEffect, count: int, values: Mapping[str, Any]) -> "EffectRows":
+        """The same parameters in each of the first `count` simulations."""
+        wide = {n: np.tile(np.asarray(v, float), (count, *(1,) * np.ndim(v))) for n, v in values.items()}
+        return cls(placed, slice(0, count), wide)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Where recorded columns and named elements sit in a compiled model's arrays."""
+"""Where recorded columns sit in a compiled model's arrays."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,12 +7,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.effects.base import Element
 
 POSITION_PARTS = {"x": 0, "y": 1, "z": 2, "qw": 3, "qx": 4, "qy": 5, "qz": 6}
 VELOCITY_PARTS = {"vx": 0, "vy": 1, "vz": 2, "wx": 3, "wy": 4, "wz": 5}
-_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _ROTATIONAL = ("qw", "qx", "qy", "qz", "wx", "wy", "wz")
 
 
@@ -34,11 +33,11 @@ def column_address(model: mujoco.MjModel, column: str) -> ColumnAddress:
     number, part = _element_and_part(model, mujoco.mjtObj.mjOBJ_JOINT, rest)
     joint, kind = model.joint(number), int(model.jnt_type[number])
     if not part:
-        unit = "rad" if kind == _HINGE else "m"
+        unit = "rad" if kind == HINGE else "m"
         address = joint.qposadr[0] if source == "qpos" else joint.dofadr[0]
         return ColumnAddress(source, int(address), unit if source == "qpos" else f"{unit}/s")
     parts = POSITION_PARTS if source == "qpos" else VELOCITY_PARTS
-    shift = 0 if kind == _FREE else 3
+    shift = 0 if kind == FREE else 3
     base = joint.qposadr[0] if source == "qpos" else joint.dofadr[0]
     unit = "1" if part.startswith("q") else "rad" if part in _ROTATIONAL else "m"
     return ColumnAddress(source, int(base) + parts[part] - shift, unit if source == "qpos" else f"{unit}/s")
@@ -59,45 +58,6 @@ def _element_and_part(model: mujoco.MjModel, kind: mujoco.mjtObj, rest: str) -> 
 def quaternion_groups(columns: Sequence[str], quaternions: Sequence[Sequence[str]]) -> list[list[int]]:
     """Indices of the four components of every fully recorded quaternion; `quaternions` are a model's columns."""
     return [[columns.index(c) for c in group] for group in quaternions if set(group) <= set(columns)]
-
-
-def joint_elements(model: mujoco.MjModel) -> list[Element]:
-    """Named hinge and slide joints."""
-    found = []
-    for j in range(model.njnt):
-        joint, kind = model.joint(j), int(model.jnt_type[j])
-        if joint.name and kind in (_HINGE, _SLIDE):
-            hinge = kind == _HINGE
-            found.append(
-                Element(
-                    "joint",
-                    joint.name,
-                    hinge,
-                    int(joint.dofadr[0]),
-                    int(joint.qposadr[0]),
-                    int(model.jnt_bodyid[j]),
-                )
-            )
-    return found
-
-
-def body_elements(model: mujoco.MjModel) -> list[Element]:
-    """Named bodies that move and have mass."""
-    return [
-        Element("body", model.body(b).name, body=b)
-        for b in range(1, model.nbody)
-        if model.body(b).name and model.body_weldid[b] != 0 and model.body_mass[b] > 0
-    ]
-
-
-def actuator_elements(model: mujoco.MjModel) -> list[Element]:
-    """Named actuators with one control each."""
-    return [Element("actuator", model.actuator(a).name, ctrl=a) for a in range(model.nu) if model.actuator(a).name]
-
-
-def sensor_elements(model: mujoco.MjModel, columns: tuple[str, ...]) -> list[Element]:
-    """Recorded columns."""
-    return [Element("sensor", c, column=c, unit=column_address(model, c).unit) for c in columns]
 
 
 def integrate_positions(

@@ -16,8 +16,8 @@ class Magnitudes:
     def __init__(self, problem: Problem):
         self.problem, self.model = problem, problem.simulator.model
         self._track = {
-            name: [] for name in ("qpos", "qvel", "force", "inertia", "body_speed", "body_force", "sensordata")
-        }
+            name: [] for name in ("qpos", "qvel", "force", "inertia", "body_speed", "body_spin", "body_force")
+        } | {name: [] for name in ("sensordata", "ctrl", "actuator_force", "actuator_velocity")}
         segments = problem.segments
         steps = max(MAX_STEPS // segments.count, 50)
         commands = segments.commands(np.arange(segments.count), self.model.opt.timestep, steps)
@@ -52,43 +52,75 @@ class Magnitudes:
                 "force": np.sqrt(sum(p**2 for p in parts)),
                 "inertia": np.diag(full),
                 "sensordata": data.sensordata,
+                "ctrl": data.ctrl,
+                "actuator_force": data.actuator_force,
+                "actuator_velocity": data.actuator_velocity,
             }
             speeds = []
             for b in range(model.nbody):
                 mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, b, velocity, 0)
-                speeds.append(np.linalg.norm(velocity[3:]))
-            row["body_speed"] = np.array(speeds)
+                speeds.append((np.linalg.norm(velocity[3:]), np.linalg.norm(velocity[:3])))
+            row["body_speed"], row["body_spin"] = np.array(speeds).T
             row["body_force"] = model.body_mass * np.linalg.norm(data.cacc[:, 3:], axis=1)
             for name, value in row.items():
                 self._track[name].append(np.array(value))
 
     def of(self, element: Element) -> Typical:
         """Root mean squares over the simulation (span: half the range), with floors for what hardly moves."""
+        time = self.problem.segments.time
+        intervals = np.diff(time, axis=1)
         base = {
+            "duration": float(np.ptp(time, axis=1).max()),
+            "sampling": float(np.median(intervals[intervals > 0])),
             "timestep": float(self.model.opt.timestep),
             "integrator": mujoco.mjtIntegrator(self.model.opt.integrator).name.removeprefix("mjINT_"),
         }
-        if element.kind == "joint":
-            inertia = max(self._rms("inertia", element.dof), 1e-9)
-            speed = max(self._rms("qvel", element.dof), 1e-2)
-            span = max(self._span("qpos", element.qpos), 1e-2)
-            return Typical(
-                max(self._rms("force", element.dof), 0.1 * inertia * speed**2 / span),
-                speed,
-                span,
-                inertia,
-                **base,
-            )
-        if element.kind == "body":
-            speed = max(self._rms("body_speed", element.body), 1e-2)
-            mass = max(float(self.model.body_mass[element.body]), 1e-9)
-            gravity = float(np.linalg.norm(self.model.opt.gravity))
-            force = max(self._rms("body_force", element.body), 0.1 * mass * max(gravity, 1.0))
-            return Typical(force, speed, 1.0, mass, **base)
+        own = {"joint": self._joint, "body": self._body, "actuator": self._actuator, "world": self._world}
+        if element.kind in own:
+            return Typical(**own[element.kind](element), **base)
         if element.kind == "sensor" and element.column != "time":
             where = column_address(self.model, element.column)
             return Typical(span=max(self._span(where.source, where.index), 1e-6), **base)
         return Typical(**base)
+
+    def _joint(self, element: Element) -> dict[str, float]:
+        inertia = max(self._rms("inertia", element.dof), 1e-9)
+        speed = max(self._rms("qvel", element.dof), 1e-2)
+        span = max(self._span("qpos", element.qpos), 1e-2)
+        force = max(self._rms("force", element.dof), 0.1 * inertia * speed**2 / span)
+        return {"force": force, "speed": speed, "span": span, "inertia": inertia}
+
+    def _body(self, element: Element) -> dict[str, float]:
+        b = element.body
+        mass = max(float(self.model.body_mass[b]), 1e-9)
+        gravity = float(np.linalg.norm(self.model.opt.gravity))
+        return {
+            "force": max(self._rms("body_force", b), 0.1 * mass * max(gravity, 1.0)),
+            "speed": max(self._rms("body_speed", b), 1e-2),
+            "spin": max(self._rms("body_spin", b), 1e-1),
+            "span": max(float(np.sqrt(self.model.body_inertia[b].sum() / (2 * mass))), 1e-3),
+            "inertia": mass,
+        }
+
+    def _actuator(self, element: Element) -> dict[str, float]:
+        (a,), command = element.actuators, max(self._peak("ctrl", element.ctrl), 1e-6)
+        force, speed = max(self._rms("actuator_force", a), 1e-6), max(self._rms("actuator_velocity", a), 1e-2)
+        return {
+            "force": force,
+            "peak_force": max(self._peak("actuator_force", a), force),
+            "speed": speed,
+            "peak_speed": max(self._peak("actuator_velocity", a), speed),
+            "command": command,
+        }
+
+    def _world(self, element: Element) -> dict[str, float]:
+        moving = max((self._rms("body_speed", b) for b in range(self.model.nbody)), default=0.0)
+        wind, gravity = (float(np.linalg.norm(x)) for x in (self.model.opt.wind, self.model.opt.gravity))
+        return {"force": gravity, "speed": max(wind, moving, 0.1)}
+
+    def _peak(self, name: str, index: int) -> float:
+        values = self.arrays[name]
+        return float(np.abs(values[:, index]).max()) if len(values) else 0.0
 
     def _rms(self, name: str, index: int) -> float:
         values = self.arrays[name]

@@ -91,7 +91,7 @@ class Mjx:
         before = _num_before(effects, parameters, one.dt)
         num_steps = int(segments.steps(one.dt)[request.which].max())
         used, inverse = np.unique(which, return_inverse=True)
-        ctrl = segments.commands(used, one.dt, num_steps, before)
+        ctrl = segments.commands(used, one.dt, num_steps + 1, before)
         size = MAX_CHUNK.get(jax.default_backend(), MAX_CHUNK_ACCELERATOR)
         out = []
         for begin in range(0, len(rows), size):
@@ -131,7 +131,7 @@ class _Predict:
         farthest = [problem.effect_values(np.full((1, problem.size), s)) for s in (-FARTHEST, FARTHEST)]
         self._before = max(_num_before(problem.effects, values, self._one.dt) for values in farthest)
         num_steps = int(segments.steps(self._one.dt).max())
-        self._ctrl = jnp.asarray(segments.commands(np.arange(segments.count), self._one.dt, num_steps, self._before))
+        self._ctrl = jnp.asarray(segments.commands(np.arange(segments.count), self._one.dt, num_steps + 1, self._before))
         self._time = jnp.asarray(segments.time)
         self._start = tuple(jnp.asarray(a) for a in (start.qpos, start.qvel, start.act))
         self._model = problem.simulator.model
@@ -205,16 +205,22 @@ def _nonzero(model: mujoco.MjModel, fields, effects: Sequence[PlacedEffect]) -> 
     """Places where some simulation is not 0, in fields that MJX leaves out where the model is 0."""
     found: set[tuple[str, int]] = set()
     for name in NEEDED_NONZERO:
-        base = np.array(getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name), float)
+        base = _field(model, name)
         values = np.reshape(fields[name], (-1, base.size)) if name in fields else base.reshape(1, -1)
         found |= {(name, int(i)) for i in np.flatnonzero((values != 0).any(0))}
         for e in effects:
             if in_fields(e) and name in e.effect.changes:
-                others = {n: np.array(getattr(model, n), float)[None] for n in e.effect.changes if n != name}
-                ones = {p.name: np.ones(1) for p in e.effect.parameters}
+                others = {n: _field(model, n)[None] for n in e.effect.changes if n != name}
+                ones = {p.name: np.ones((1, p.size) if p.size > 1 else 1) for p in e.effect.parameters}
                 after = e.effect.fields(ones, {name: base[None], **others}, e.element, np)[name]
                 found |= {(name, int(i)) for i in np.flatnonzero(np.ravel(after) != np.ravel(base))}
+            if name == "dof_frictionloss" and name in e.effect.writes:
+                found.add((name, e.element.dof))
     return frozenset(found)
+
+
+def _field(model: mujoco.MjModel, name: str) -> np.ndarray:
+    return np.array(getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name), float)
 
 
 def _with_options(model: mujoco.MjModel, timestep: float | None, integrator: str | None) -> mujoco.MjModel:

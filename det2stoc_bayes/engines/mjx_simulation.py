@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from det2stoc_bayes.engines import drive
 from det2stoc_bayes.engines.layout import column_address
 from det2stoc_bayes.engines.mjx_constants import ancestor_matrix, derived_constants
 from det2stoc_bayes.engines.mjx_support import check_effect, check_fields, check_supported
@@ -21,6 +22,7 @@ with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missin
     from mujoco import mjx
 
 SLOW_SPIN = 3e-8  # rad/s; MJX takes less than 1e-8 for no rotation at all, with no derivatives either
+FAR = 1e30  # a limit that is none
 TINY = 1e-12  # keeps a term in the program that MJX would leave out of it where the model has 0
 NEEDED_NONZERO = (
     "dof_frictionloss",
@@ -60,11 +62,11 @@ class Simulation:
         check_fields(model, fields)
         for placed in effects:
             check_effect(model, placed)
-        model = _with_tiny(model, nonzero)
+        model = _with_limits(_with_tiny(model, nonzero), effects)
         check_supported(model)
         self.dt, self.columns, self.effects = float(model.opt.timestep), tuple(columns), tuple(effects)
         self.addresses = [column_address(model, c) for c in columns]
-        self._model, self._data = mjx.put_model(model), mjx.make_data(model)
+        self._model, self._data, self._kinds = mjx.put_model(model), mjx.make_data(model), model
         changed = {*fields, *(f for e in effects if in_fields(e) for f in e.effect.changes)}
         self._ancestors = ancestor_matrix(model)
         # As in the C engine: a force held over a step of RK4 is that of the middle of the step.
@@ -75,6 +77,7 @@ class Simulation:
         ]
         self._sensors = any(a.source == "sensordata" for a in self.addresses)
         self._forced = [i for i, e in enumerate(effects) if not in_fields(e) and e.effect.uses("joint_force")]
+        self._momentary = [i for i, e in enumerate(effects) if e.effect.writes]
         self._pushed = [i for i, e in enumerate(effects) if e.effect.uses("body_force")]
 
     def __call__(self, *args: Any) -> Float[Array, "samples columns"]:
@@ -90,12 +93,16 @@ class Simulation:
         parameters: Sequence[Parameters],
         num_before: int = 0,
     ) -> tuple[Float[Array, "samples columns"], Float[Array, "samples nq"], Float[Array, "samples nv"], Array]:
-        """Columns, qpos, qvel, act at the sample times; the first `num_before` commands precede the start."""
+        """Columns, qpos, qvel, act at the sample times.
+
+        The first `num_before` commands precede the start; the last one is that of the step after the last.
+        """
         model = self.model(fields, parameters)
+        time = stamps[0] + (jnp.arange(len(ctrl)) - num_before) * self.dt
         for placed, p in zip(self.effects, parameters, strict=True):
             if placed.effect.uses("control"):
                 a = placed.element.ctrl
-                ctrl = ctrl.at[:, a].set(placed.effect.control(p, ctrl[:, a], self.dt, jnp))
+                ctrl = ctrl.at[:, a].set(placed.effect.control(p, ctrl[:, a], time, model.opt.timestep, jnp))
         qpos, qvel, act = start
 
         def advance(state, u):
@@ -108,18 +115,15 @@ class Simulation:
                 ctrl=u,
             )
             after, sensors = self._step(model, data, parameters)
-            state = (after.qpos, after.qvel, after.act, after.qacc_warmstart, after.time)
+            # Time is the recorded clock's, whatever a step of it lasts.
+            state = (after.qpos, after.qvel, after.act, after.qacc_warmstart, state[4] + self.dt)
             return state, (after.qpos, after.qvel, after.act, sensors)
 
         first = (qpos, qvel, act, jnp.zeros_like(qvel), stamps[0])
         _, (*states, sensors) = jax.lax.scan(advance, first, ctrl[num_before:])
-        states = [jnp.concatenate([a[None], b]) for a, b in zip(start, states, strict=True)]
-        # Sensor values describe the state before the step; the last one is held.
-        series = {
-            "qpos": states[0],
-            "qvel": states[1],
-            "sensordata": jnp.concatenate([sensors, sensors[-1:]]),
-        }
+        # Sensor values describe the state before the step; the last step is there for them alone.
+        states = [jnp.concatenate([a[None], b[:-1]]) for a, b in zip(start, states, strict=True)]
+        series = {"qpos": states[0], "qvel": states[1], "sensordata": sensors}
         at = (stamps - stamps[0]) / self.dt
         qpos, qvel, act = (_interpolate(s, at) for s in states)
         return self._read(series, stamps, parameters), qpos, qvel, act
@@ -136,7 +140,7 @@ class Simulation:
             ("tendon_frictionloss", self._model._impl.tendon_hasfrictionloss),
         ):
             if name in changed:  # a row that the program has brakes like a damper where its friction is 0
-                changed[name] = jnp.where(there, jnp.maximum(changed[name], 0.0) + TINY, changed[name])
+                changed[name] = _braking(there, changed[name])
         model = self._model.tree_replace(changed)
         return derived_constants(model, self._data, self._ancestors) if self._rederive else model
 
@@ -148,6 +152,7 @@ class Simulation:
 
     def _step(self, m, d, parameters):
         """As mj_step; effects' forces are held over the step, those that are damping in MuJoCo linearized."""
+        m = self._now(m, d, parameters)
         d = mjx.fwd_position(m, d)
         d = mjx.sensor_pos(m, d) if self._sensors else d
         m, d = self._joint_forces(m, d, parameters)
@@ -158,6 +163,29 @@ class Simulation:
         d = mjx.solve(m, d) if d._impl.efc_J.size else d.replace(qacc=d.qacc_smooth)
         d = mjx.sensor_acc(m, d) if self._sensors else d
         return _integrate(m, d), d.sensordata
+
+    def _now(self, m, d, parameters):
+        """The model with the fields that effects rewrite at every step."""
+        for i in self._momentary:
+            effect, at = self.effects[i].effect, self.effects[i].element
+            inside = {name: _get(m, name) for name in (*effect.writes, *effect.reads)}
+            changed = effect.momentary(parameters[i], inside, self._joint_state(m, d, at), at, jnp)
+            changed.pop("actuator_forcelimited", None)  # compiled in
+            if "dof_frictionloss" in changed:
+                there = m._impl.dof_hasfrictionloss
+                changed["dof_frictionloss"] = _braking(there, changed["dof_frictionloss"])
+            m = m.tree_replace(changed)
+        return m
+
+    def _joint_state(self, m, d, at):
+        time = d.time + self._lead
+        if at.dof < 0:
+            return JointState(0.0 * time, 0.0 * time, time)
+        given = None
+        if at.actuators:
+            given = drive.drive_of(self._kinds, at, lambda name: _get(m, name), d.ctrl, d.act, jnp)
+        speed = d.qvel[at.dof]
+        return JointState(d.qpos[at.qpos] + self._lead * speed, speed, time, given)
 
     def _joint_forces(self, m, d, parameters):
         force, damping = d.qfrc_applied, m.dof_damping
@@ -181,7 +209,9 @@ class Simulation:
         for i in self._pushed:
             body = self.effects[i].element.body
             spin, lever = d.cvel[body, :3], d.xipos[body] - d.subtree_com[m.body_rootid[body]]
-            state = BodyState(d.cvel[body, 3:] + jnp.cross(spin, lever), d.time)
+            geoms = np.flatnonzero(self._kinds.geom_bodyid == body)
+            shapes = tuple(int(t) for t in self._kinds.geom_type[geoms])
+            state = BodyState(d.cvel[body, 3:] + jnp.cross(spin, lever), d.time, spin, shapes, m.geom_size[geoms])
             wrench = wrench.at[body, :3].add(self.effects[i].effect.body_force(parameters[i], state, jnp))
         return d.replace(xfrc_applied=wrench)
 
@@ -221,6 +251,22 @@ def _with_tiny(model: mujoco.MjModel, nonzero: frozenset[tuple[str, int]]) -> mu
             setattr(holder, leaf, float(value))
     model.flg_gravcomp = bool(model.body_gravcomp.any())
     return model
+
+
+def _with_limits(model: mujoco.MjModel, effects: Sequence[PlacedEffect]) -> mujoco.MjModel:
+    """Actuators whose force range effects rewrite have one, without end where the model has none."""
+    model = copy.copy(model)
+    for e in effects:
+        if "actuator_forcerange" in e.effect.writes:
+            for a in e.element.actuators:
+                if not model.actuator_forcelimited[a]:
+                    model.actuator_forcelimited[a], model.actuator_forcerange[a] = True, [-FAR, FAR]
+    return model
+
+
+def _braking(there, loss):
+    """Friction where the program has it; a row that it has brakes like a damper where friction is 0."""
+    return jnp.where(there, jnp.maximum(loss, 0.0) + TINY, loss)
 
 
 def _integrate(m, d):

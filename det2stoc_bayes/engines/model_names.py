@@ -46,6 +46,7 @@ _FIELDS["joint"] |= {
 REFUSED = {
     ("opt", "timestep"): "the samples' times hang on the step, and a diagnosis tries finer ones by itself",
 }
+_ASIDE = 1e-3  # by which frames are moved apart for compiling; MuJoCo takes less than 1e-6 for nothing
 _FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint, whose members `in` does not find among numpy numbers
 
 
@@ -78,11 +79,8 @@ def field_of(kind: str, field: str) -> str:
     return _FIELDS[kind][field]
 
 
-def compile_model(path: Path, folder: Path | None = None, *, general: bool = False) -> "mujoco.MjModel":
-    """The compiled MJCF at `path`; neither it nor a file it includes or loads may lie outside of `folder`.
-
-    With `general` no body keeps MuJoCo's simple form, in which its centre of mass must stay where it is.
-    """
+def compile_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
+    """The compiled MJCF at `path`; neither it nor a file it includes or loads may lie outside of `folder`."""
     import mujoco
 
     if not path.is_file():
@@ -92,15 +90,36 @@ def compile_model(path: Path, folder: Path | None = None, *, general: bool = Fal
         raise ModelError(f"{path.name}: the model is an MJCF file; allowed: .xml")
     _refuse_outside(path, (folder or path.parent).resolve())
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-        if not general or not model.body_simple[1:].any():
-            return model
-        spec = mujoco.MjSpec.from_file(str(path))
-        for body in spec.bodies[1:]:
-            body.simple = False
-        return spec.compile()
+        return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise ModelError(f"{path.name}: does not compile: {'; '.join(str(error).split(chr(10)))}") from error
+
+
+def compile_loose_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
+    """As `compile_model`, with no shortcut for bodies whose inertial frame is the body's own.
+
+    Such a shortcut makes MuJoCo ignore an inertial frame that is changed later (body_sameframe, body_simple). A model
+    that cannot be compiled without it unchanged is returned with it.
+    """
+    import mujoco
+
+    model = compile_model(path, folder)
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.compile()
+    for body in spec.bodies[1:]:
+        if model.body_sameframe[body.id] and model.body_weldid[body.id] and model.body_mass[body.id] > 0:
+            if not body.explicitinertial:
+                spec.adopt_inertial(body)
+            body.ipos, body.iquat = body.ipos + _ASIDE, body.iquat + _ASIDE * np.array([0.0, 1, 1, 1])
+    try:
+        loose = spec.compile()
+    except ValueError:
+        return model
+    for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat"):
+        getattr(loose, name)[:] = getattr(model, name)
+    mujoco.mj_setConst(loose, mujoco.MjData(loose))
+    same = (np.allclose(getattr(loose, n), getattr(model, n), rtol=0, atol=1e-12) for n in ("body_pos", "qpos0"))
+    return loose if loose.nq == model.nq and all(same) else model
 
 
 def _refuse_outside(path: Path, folder: Path) -> None:

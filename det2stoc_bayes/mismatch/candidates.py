@@ -9,8 +9,9 @@ def candidates(problem: Problem) -> list[PlacedEffect]:
     """Placed effects, with prior scales from the believed model's own simulation."""
     magnitudes = Magnitudes(problem)
     return [
-        PlacedEffect(effect, element, magnitudes.of(element))
+        PlacedEffect([form for form in effect.forms() if form.fits(element)][-1], element, magnitudes.of(element))
         for effect in CATALOGUE.values()
         if effect.kind != "simulator"
         for element in problem.simulator.elements(effect.kind, problem.segments.columns)
+        if effect.fits(element)
     ]

@@ -98,7 +98,7 @@ def _patch(judged: Judgement, composer: Composer) -> Patch:
     z = composer.z_after if judged.verdict == "mismatch" else composer.z_before
     psi = dict(zip((p.name for p in study.parameters), shown.psi(z).mean(0).tolist(), strict=True))
     values = shown.effect_values(judged.shown.point.z[None])
-    effects = [(e, {k: float(v[0]) for k, v in p.items()}) for e, p in zip(shown.effects, values, strict=True)]
+    effects = [(e, {k: v[0] for k, v in p.items()}) for e, p in zip(shown.effects, values, strict=True)]
     return make_patch(study, psi, effects, timestep=shown.timestep, integrator=shown.integrator)
 
 

@@ -11,7 +11,7 @@ from det2stoc_bayes.engines.model_names import compile_model
 from det2stoc_bayes.errors import ModelError
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 from det2stoc_bayes.mismatch.patch_fields import asset_files, differences, mjcf_text, read_field, write_field
-from det2stoc_bayes.mismatch.patch_module import FieldWrite, Values, hooks_of, module_text, parameter_texts
+from det2stoc_bayes.mismatch.patch_module import CLOCK, FieldWrite, Values, hooks_of, module_text, parameter_texts
 from det2stoc_bayes.simulator import address
 from det2stoc_bayes.study import Study
 from det2stoc_bayes.suggestions import choices
@@ -43,8 +43,12 @@ def make_patch(
 
     `psi`: a value for every parameter; the population mean of one that varies.
     """
-    wanted = wanted_model(study, psi, effects, timestep=timestep, integrator=integrator)
+    clocks = [e for e in effects if CLOCK in e[0].effect.changes]  # steps are to be those of the recorded clock
+    plain = [e for e in effects if CLOCK not in e[0].effect.changes]
+    wanted = wanted_model(study, psi, plain, timestep=timestep, integrator=integrator)
     text, reloaded = mjcf_text(study.model_path, study.folder, wanted)
+    for placed, given in clocks:
+        _write_effect(wanted, placed, given)
     fields = [_field_write(wanted, name, where) for name, where in differences(wanted, reloaded).items()]
     comment = _comment(study, psi, effects, fields)
     files = {p.relative_to(study.folder).as_posix(): p for p in assets(study)}
@@ -97,7 +101,7 @@ def _write_effect(model: mujoco.MjModel, placed: PlacedEffect, given: Values) ->
         fields = {name: np.array(read_field(model, name), dtype=float)[None] for name in placed.effect.changes}
         parameters = {name: np.asarray(value, dtype=float)[None] for name, value in given.items()}
         for name, value in placed.effect.fields(parameters, fields, placed.element, np).items():
-            write_field(model, name, value[0])
+            write_field(model, name, np.asarray(value[0]))
 
 
 def _field_write(model: mujoco.MjModel, name: str, where: np.ndarray) -> FieldWrite:

@@ -15,21 +15,30 @@ from det2stoc_bayes.mismatch import patch_runtime as runtime
 from det2stoc_bayes.mismatch.effects.base import Effect, PlacedEffect
 
 Values = Mapping[str, float | int | str | Sequence[float] | np.ndarray]  # of an effect's parameters
+CLOCK = "opt.timestep"  # an effect that changes it makes the recorded clock another than the simulation's
 # Hook of an effect -> its table in effects.py, and the functions of the runtime that serve it.
 _COLUMNS = ("measure", "at_time", "arrays", "place_of")
 _SERVED: dict[str, tuple[str, tuple[str, ...]]] = {
-    "joint_force": ("JOINT_FORCES", ("add_joint_forces",)),
+    "joint_force": ("JOINT_FORCES", ("add_joint_forces", "joint_state")),
     "body_force": ("BODY_FORCES", ("add_body_forces", "copy_state")),
+    "clock": ("CLOCKS", ("keep_clock",)),
+    "momentary": (
+        "MOMENTARY",
+        ("rewrite_fields", "restore_fields", "set_field", "joint_and_actuators", "joint_state", "drive_of"),
+    ),
     "control": ("CONTROLS", ("rewrite_controls", "follow")),
     "sample_time": ("SAMPLE_TIMES", ("remember_state", "follow")),
     "reading": ("READINGS", ()),
 }
 _STEPS = {
+    "clock": "keep_clock",
     "control": "rewrite_controls",
+    "momentary": "rewrite_fields",
     "joint_force": "add_joint_forces",
     "body_force": "add_body_forces",
     "sample_time": "remember_state",
 }
+_ALWAYS_TABLES = ("sample_time", "reading", "clock")
 _ALWAYS = ("Memory", "memory_of", "copy_state", *_COLUMNS)
 _LOOP = """
     model = mujoco.MjModel.from_xml_path("patched.xml")
@@ -56,7 +65,7 @@ class FieldWrite:
 
 def hooks_of(effect: Effect) -> tuple[str, ...]:
     """The hooks through which an effect acts in effects.py; a force that MJCF has a field for is none."""
-    used = [h for h in _SERVED if effect.uses(h)]
+    used = [h for h in _SERVED if (CLOCK in effect.changes if h == "clock" else effect.uses(h))]
     return tuple(h for h in used if not (h == "joint_force" and effect.changes))
 
 
@@ -72,29 +81,36 @@ def module_text(effects: Sequence[tuple[PlacedEffect, Values]], fields: Sequence
     for number, (placed, values, used) in enumerate((a for a in active if a[2]), 1):
         constants.append(_parameters(number, placed, values))
         for hook in used:
-            row = [
-                repr(placed.element.column or placed.element.name),
-                laws.add(placed.effect, hook),
-                f"P{number}",
-            ]
-            if hook == "control":
-                row.append(repr(placed.effect.memory({k: np.asarray(v) for k, v in values.items()})))
-            tables[hook].append(f"({', '.join(row)})")
+            tables[hook].append(_row(placed, values, hook, laws, f"P{number}"))
     parts = [
         _header(active, fields),
         "\n".join(_imports(hooks)),
         "\n\n".join(constants),
         *laws.sources.values(),
-        "\n".join(_table(_SERVED[h][0], tables[h]) for h in _SERVED if h in (*hooks, "sample_time", "reading")),
+        "\n".join(_table(_SERVED[h][0], tables[h]) for h in _SERVED if h in (*hooks, *_ALWAYS_TABLES)),
         _fields_table(fields) if fields else "",
         "MEMORIES = WeakKeyDictionary()  # data object -> what is remembered of it",
+        "BELIEVED = WeakKeyDictionary()  # model -> fields before any step" if "momentary" in hooks else "",
         *_runtime_sources(hooks, bool(fields)),
-        _reset(bool(fields)),
+        _reset("momentary" in hooks, bool(fields)),
         _control([_STEPS[h] for h in _STEPS if h in hooks]),
     ]
     text = re.sub(r"\n{4,}", "\n\n\n", "\n\n\n".join(p.strip("\n") for p in parts if p)) + "\n"
     compile(text, "effects.py", "exec")
     return text
+
+
+def _row(placed: PlacedEffect, values: Values, hook: str, laws: "_Laws", constants: str) -> str:
+    """An effect's line in the table of a hook."""
+    given = {name: np.asarray(value, float) for name, value in values.items()}
+    if hook == "clock":
+        return repr(float(1 / placed.effect.fields(given, {CLOCK: np.ones(())}, placed.element, np)[CLOCK]))
+    row = [repr(placed.element.column or placed.element.name), laws.add(placed.effect, hook), constants]
+    if hook == "momentary":
+        row = [repr(placed.element.kind), *row, repr(placed.effect.writes), repr(placed.effect.reads)]
+    if hook == "control":
+        row.append(repr(placed.effect.memory(given)))
+    return f"({', '.join(row)})"
 
 
 class _Laws:
@@ -105,7 +121,7 @@ class _Laws:
 
     def add(self, effect: Effect, hook: str) -> str:
         """Embeds a method; gives its name in effects.py."""
-        name = f"{effect.name}_{hook}"
+        name = f"{_snake(type(effect).__name__)}_{hook}"  # forms of an effect have laws of their own
         if name not in self.sources:
             self.sources[name] = ""  # a helper that calls it back finds it
             function = getattr(type(effect), hook)
@@ -113,6 +129,7 @@ class _Laws:
         return name
 
     def _plain(self, function: Callable, name: str, effect: Effect | None) -> str:
+        function = inspect.unwrap(function)
         source = textwrap.dedent(inspect.getsource(function))
         if effect is not None:
             source = re.sub(r"^((?:@.*\n)*)def \w+\(self(, )?", rf"def {name}(", source, count=1)
@@ -145,6 +162,10 @@ class _Laws:
             raise ModelError(f"effects.py: {found}; allowed: functions, numbers, numpy as np")
 
 
+def _snake(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+
+
 def _bare(tree: ast.Module) -> ast.Module:
     """The same without annotations: types of this package would not be found beside effects.py."""
     for node in ast.walk(tree):
@@ -172,7 +193,7 @@ def _header(active: Sequence[tuple[PlacedEffect, Values, tuple[str, ...]]], fiel
 
 
 def _imports(hooks: Sequence[str]) -> list[str]:
-    names = ["from types import SimpleNamespace"] if {"joint_force", "body_force"} & set(hooks) else []
+    names = ["from types import SimpleNamespace"] if {"joint_force", "body_force", "momentary"} & set(hooks) else []
     return [*names, "from weakref import WeakKeyDictionary", "", "import mujoco", "import numpy as np"]
 
 
@@ -210,13 +231,14 @@ def _fields_table(fields: Sequence[FieldWrite]) -> str:
 
 def _runtime_sources(hooks: Sequence[str], fields: bool) -> list[str]:
     served = {name for h in hooks for name in _SERVED[h][1]} | set(_ALWAYS) | ({"write_fields"} if fields else set())
+    served |= {"field_of"} if fields or "momentary" in hooks else set()
     members = [v for v in vars(runtime).values() if getattr(v, "__module__", "") == runtime.__name__]
     return [inspect.getsource(m) for m in members if m.__name__ in served]
 
 
-def _reset(fields: bool) -> str:
-    source = inspect.getsource(runtime.reset)
-    return source + "    write_fields(model)\n" if fields else source
+def _reset(momentary: bool, fields: bool) -> str:
+    steps = [step for step, on in (("restore_fields", momentary), ("write_fields", fields)) if on]
+    return inspect.getsource(runtime.reset) + "".join(f"    {step}(model)\n" for step in steps)
 
 
 def _control(steps: Sequence[str]) -> str:

@@ -13,6 +13,8 @@ import numpy as np
 FIELDS: tuple = ()  # (field, rows, values)
 JOINT_FORCES: tuple = ()  # (joint, law, parameters)
 BODY_FORCES: tuple = ()  # (body, law, parameters)
+MOMENTARY: tuple = ()  # (kind, name, law, parameters, fields that the law writes, fields that it looks at)
+CLOCKS: tuple = ()  # ratios of the recorded clock to true time
 CONTROLS: tuple = ()  # (actuator, law, parameters, seconds of commands that the law looks back on)
 SAMPLE_TIMES: tuple = ()  # (column or "time", law, parameters)
 READINGS: tuple = ()  # (column or "time", law, parameters)
@@ -22,10 +24,11 @@ class Memory:
     """What is remembered of one data object's past."""
 
     def __init__(self, model):
-        self.model, self.scratch, self.commands, self.states = model, mujoco.MjData(model), [], []
+        self.model, self.scratch, self.commands, self.states, self.time = model, mujoco.MjData(model), [], [], None
 
 
 MEMORIES = WeakKeyDictionary()
+BELIEVED = WeakKeyDictionary()  # model -> fields as they are without what is rewritten at every step
 
 
 def memory_of(model, data):
@@ -37,13 +40,97 @@ def memory_of(model, data):
 
 
 def add_joint_forces(model, data):
-    """Adds to qfrc_applied, held over a step: RK4 weighs the whole step, so it gets the middle value."""
-    lead = 0.5 * model.opt.timestep if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
+    """Adds to qfrc_applied, held over a step."""
     for name, law, p in JOINT_FORCES:
-        joint = model.joint(name)
-        dof, v = joint.dofadr[0], data.qvel[joint.dofadr[0]]
-        state = SimpleNamespace(q=data.qpos[joint.qposadr[0]] + lead * v, v=v, t=data.time + lead)
-        data.qfrc_applied[dof] += np.asarray(law(p, state, np)).item()
+        joint = model.joint(name).id
+        dof = model.jnt_dofadr[joint]
+        data.qfrc_applied[dof] += np.asarray(law(p, joint_state(model, data, joint), np)).item()
+
+
+def joint_state(model, data, joint):
+    """A joint's position, speed and time; RK4 weighs the whole step, so that it gets the middle value."""
+    lead = 0.5 * model.opt.timestep if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
+    time = np.float64(data.time + lead)
+    if joint < 0:
+        return SimpleNamespace(q=0.0, v=0.0, t=time)
+    v = data.qvel[model.jnt_dofadr[joint]]
+    return SimpleNamespace(q=data.qpos[model.jnt_qposadr[joint]] + lead * v, v=v, t=time)
+
+
+def rewrite_fields(model, data):
+    """Writes model fields for the step that begins; reset undoes it."""
+    believed = BELIEVED.setdefault(model, {})
+    for *_, written, _ in MOMENTARY:
+        for field in written:
+            believed.setdefault(field, np.array(field_of(model, field)))
+            set_field(model, field, believed[field])
+    for kind, name, law, p, written, seen in MOMENTARY:
+        joint, actuators = joint_and_actuators(model, kind, name)
+        state = joint_state(model, data, joint)
+        state.drive = drive_of(model, data, joint, actuators) if actuators else None
+        dof = model.jnt_dofadr[joint] if joint >= 0 else -1
+        fields = {field: np.array(field_of(model, field)) for field in (*written, *seen)}
+        at = SimpleNamespace(dof=dof, actuators=actuators)
+        for field, value in law(p, fields, state, at, np).items():
+            set_field(model, field, value)
+
+
+def restore_fields(model):
+    """Undoes what was written for a step."""
+    for field, value in BELIEVED.pop(model, {}).items():
+        set_field(model, field, value)
+
+
+def field_of(model, name):
+    """A model field by name, as dof_frictionloss or opt.wind."""
+    return getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name)
+
+
+def set_field(model, name, value):
+    """Sets a whole array."""
+    field_of(model, name)[:] = value
+
+
+def joint_and_actuators(model, kind, name):
+    """Numbers of an element's joint (-1: none) and of the actuators that concern it."""
+    if kind == "actuator":
+        actuator = model.actuator(name).id
+        return model.actuator_trnid[actuator, 0], (actuator,)
+    if kind == "joint":
+        joint, on_joint = model.joint(name).id, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        known = np.isin(model.actuator_trntype, [int(t) for t in on_joint])
+        return joint, tuple(np.flatnonzero(known & (model.actuator_trnid[:, 0] == joint)).tolist())
+    return -1, ()
+
+
+def drive_of(model, data, joint, actuators):
+    """What the actuators of a joint are given: coefficients, limits, inputs."""
+    ids = list(actuators)
+    affine = model.actuator_gaintype[ids] == mujoco.mjtGain.mjGAIN_AFFINE
+    gain = model.actuator_gainprm[ids, :3] * np.where(affine[:, None], 1.0, [1.0, 0, 0])
+    biased = model.actuator_biastype[ids] == mujoco.mjtBias.mjBIAS_AFFINE
+    free = np.where(model.actuator_forcelimited[ids][:, None], 0.0, [-np.inf, np.inf])
+    low, high = (np.where(free != 0, free, model.actuator_forcerange[ids])).T
+    clamped = model.actuator_ctrllimited[ids].astype(bool)
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL:
+        clamped[:] = False
+    u, limits = data.ctrl[model.actuator_ctrladr[ids]], model.actuator_ctrlrange[ids]
+    u = np.where(clamped, np.clip(u, limits[:, 0], limits[:, 1]), u)
+    last = model.actuator_actadr[ids] + model.actuator_actnum[ids] - 1
+    for k, number in enumerate(model.actuator_actnum[ids]):
+        u[k] = data.act[last[k]] if number else u[k]
+    bounded = model.jnt_actfrclimited[joint]
+    least, most = model.jnt_actfrcrange[joint] if bounded else (-np.inf, np.inf)
+    gear, bias = model.actuator_gear[ids, 0], model.actuator_biasprm[ids, :3] * biased[:, None]
+    return SimpleNamespace(gain=gain, bias=bias, gear=gear, low=low, high=high, u=u, least=least, most=most)
+
+
+def keep_clock(model, data):
+    """Lets data.time show the recorded clock, a step of which is not a step of true time."""
+    memory, true = memory_of(model, data), model.opt.timestep
+    if memory.time is not None and abs(data.time - memory.time - true) < 1e-3 * true:
+        data.time = memory.time + true * np.prod(CLOCKS)
+    memory.time = data.time
 
 
 def add_body_forces(model, data):
@@ -57,24 +144,29 @@ def add_body_forces(model, data):
     for name, law, p in BODY_FORCES:
         body = model.body(name).id
         mujoco.mj_objectVelocity(model, scratch, mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
-        state = SimpleNamespace(velocity=velocity[3:].copy(), t=data.time)
+        geoms = np.flatnonzero(model.geom_bodyid == body)
+        shapes, sizes = tuple(model.geom_type[geoms].tolist()), model.geom_size[geoms]
+        moving = {"velocity": velocity[3:].copy(), "spin": velocity[:3].copy()}
+        state = SimpleNamespace(**moving, t=data.time, shapes=shapes, sizes=sizes)
         data.xfrc_applied[body, :3] += law(p, state, np)
 
 
 def rewrite_controls(model, data):
     """Replaces commands by what arrives at the actuators."""
     commands, dt = memory_of(model, data).commands, model.opt.timestep
+    tick = dt * np.prod(CLOCKS)  # a step of the recorded clock
     # Each law looks back on what the one before it gave out: the steps add up.
     length = 1 + sum(int(np.ceil(seconds / dt)) + 2 for _, _, _, seconds in CONTROLS)
-    missed = follow(commands, data.time, dt)
+    missed = follow(commands, data.time, tick)
     commands.extend(commands[-1:] * min(missed, length))  # a command is held until the next
     commands.append((data.time, data.ctrl.copy()))
     del commands[:-length]
     past = np.array([u for _, u in commands])
     past = np.concatenate([np.repeat(past[:1], length - len(past), 0), past])
+    times = data.time + tick * np.arange(1 - length, 1)
     for name, law, p, _ in CONTROLS:
         place = model.actuator_ctrladr[model.actuator(name).id]
-        past[:, place] = law(p, past[:, place], dt, np)
+        past[:, place] = law(p, past[:, place], times, dt, np)
         data.ctrl[place] = past[-1, place]
 
 
@@ -91,7 +183,7 @@ def follow(past, time, dt):
 def remember_state(model, data):
     """Keeps the states that the laws of time can still ask for."""
     states = memory_of(model, data).states
-    follow(states, data.time, model.opt.timestep)
+    follow(states, data.time, model.opt.timestep * np.prod(CLOCKS))
     sensors = any(column == "time" or column.startswith("sensor/") for column, _, _ in SAMPLE_TIMES)
     states.append((data.time, arrays(model, data, sensors)))
     oldest = min(float(np.min(law(p, np.array([data.time]), np))) for _, law, p in SAMPLE_TIMES)
@@ -172,10 +264,10 @@ def place_of(model, column):
 def write_fields(model):
     """Writes what MJCF cannot express; again gives the same."""
     for name, rows, values in FIELDS:
-        if name.startswith("opt."):
-            setattr(model.opt, name[4:], values)
+        if rows:
+            field_of(model, name)[list(rows)] = values
         else:
-            getattr(model, name)[list(rows)] = values
+            setattr(model.opt, name[4:], values)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 

@@ -6,8 +6,9 @@ with f a generalized force held over the interval. A to D come from simulations 
 response to any history of forces, and to any other effect by its defects d and e, costs no long simulation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -44,14 +45,10 @@ class Response:
         self.path, self.state_size = path, 2 * model.nv + model.na
         self._linearize()
 
-    def _request(self, start: Start, extra: Sequence[tuple[PlacedEffect, dict[str, float]]] = ()) -> Request:
+    def _request(self, start: Start, extra: Sequence[tuple[PlacedEffect, Mapping[str, Any]]] = ()) -> Request:
         problem = replace(self.problem, segments=self.intervals)
         request = problem.request(self.point.z[None], start)
-        rows = slice(0, len(self.pieces))
-        added = tuple(
-            EffectRows(p, rows, {n: np.full(len(self.pieces), float(v)) for n, v in values.items()})
-            for p, values in extra
-        )
+        added = tuple(EffectRows.alike(p, len(self.pieces), values) for p, values in extra)
         return replace(request, effects=(*request.effects, *added))
 
     def _run(self, requests: Sequence[Request], origin=None):
@@ -101,7 +98,7 @@ class Response:
         out[self.real] = values
         return out
 
-    def defects(self, trials: Sequence[tuple[PlacedEffect, dict[str, float]]]) -> tuple[np.ndarray, np.ndarray]:
+    def defects(self, trials: Sequence[tuple[PlacedEffect, Mapping[str, Any]]]) -> tuple[np.ndarray, np.ndarray]:
         """d (S, K, m, columns) and e (S, K, y, columns) of effects by simulating each interval with the effect on."""
         state, column, _ = self._run([self._request(self.begin, [t]) for t in trials], self._origin)
         return (

@@ -7,6 +7,7 @@ from xarray import DataTree
 from det2stoc_bayes.mismatch.explain import Ranked, Slot
 from det2stoc_bayes.mismatch.finding import variable_name
 from det2stoc_bayes.mismatch.heldout import HeldOut
+from det2stoc_bayes.mismatch.patch_module import parameter_texts
 from det2stoc_bayes.mismatch.where import Condition
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.posterior import named_draws
@@ -84,7 +85,7 @@ def screening(slot: Slot, probability: dict[str, float]) -> xr.Dataset:
 
 
 def _size(ranked: Ranked) -> str:
-    """Refined parameter values, as `amplitude 0.1, cycles 6`."""
+    """Refined parameter values, as `amplitude = 0.1 N m, cycles = 6 1/rad`."""
     problem = ranked.fit.problem
     values = problem.effect_values(ranked.fit.point.z[None])[-1]
-    return ", ".join(f"{name} {float(value[0]):.3g}" for name, value in values.items())
+    return ", ".join(parameter_texts(ranked.placed, {name: value[0] for name, value in values.items()}))

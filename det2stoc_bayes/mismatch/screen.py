@@ -12,7 +12,6 @@ from det2stoc_bayes.mismatch.response import Response
 from det2stoc_bayes.optimize import Fit, noise_scale
 from det2stoc_bayes.problem import merge_requests
 
-COEFFICIENT_SD = 100.0  # trials stand at 1 % of an effect's prior scale
 MAX_COLUMNS = 128  # responses held at once
 
 
@@ -38,20 +37,20 @@ def screen(
     best: dict[PlacedEffect, Screened] = {}
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
-    for placed, trial, columns in _columns(fit, new, advance):
+    for placed, trial, columns in responses(fit, new, advance):
         found = _judge(fit, placed, trial, columns)
         if found is not None and (placed not in best or found.log_evidence > best[placed].log_evidence):
             best[placed] = found
     return sorted(best.values(), key=lambda s: -s.log_evidence)
 
 
-def _columns(fit: Fit, candidates, advance) -> Iterator[tuple[PlacedEffect, Trial, np.ndarray]]:
+def responses(fit: Fit, candidates, advance) -> Iterator[tuple[PlacedEffect, Trial, np.ndarray]]:
     """Change of the prediction (segments, values, k) by every trial."""
     response = Response(fit)
     for placed in candidates:
         effect, at = placed.effect, placed.element
         trials = effect.trials(placed.typical)
-        if effect.kind == "sensor":
+        if effect.uses("reading") or effect.uses("sample_time"):
             changes = _recorded(fit, placed, trials)
         else:
             flat = [dict(values) for trial in trials for values in trial.columns]
@@ -83,8 +82,7 @@ def _recorded(fit: Fit, placed: PlacedEffect, trials: Sequence[Trial]) -> list[n
     requests = [request]
     for trial in trials:
         for values in trial.columns:
-            rows = {k: np.full(count, float(v)) for k, v in values.items()}
-            requests.append(replace(request, effects=(*request.effects, EffectRows(placed, slice(0, count), rows))))
+            requests.append(replace(request, effects=(*request.effects, EffectRows.alike(placed, count, values))))
     moved = -problem.residuals(problem.simulator.rollout(merge_requests(requests))).reshape(len(requests), count, -1)
     columns = iter(moved[1:] - moved[0])
     return [np.stack([next(columns) for _ in trial.columns], -1) for trial in trials]
@@ -104,13 +102,13 @@ def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray) ->
     s2 = fit.noise_scale
     # Residuals were taken at the fit's optimum, where the prior pulls by -z.
     pull = np.concatenate([-lin.point.z, np.zeros(k)])
-    prior = np.concatenate([np.ones(d), np.full(k, COEFFICIENT_SD**-2.0)])
+    prior = np.concatenate([np.ones(d), np.full(k, trial.sd**-2.0)])
     for _ in range(4):  # the noise scale and the coefficients determine each other
         precision = gram / s2 + np.diag(prior)
         step = np.linalg.solve(precision, slope / s2 + pull)
         chi2 = fit.chi2 - 2 * float(slope @ step) + float(step @ gram @ step)
         s2 = noise_scale(lin, max(chi2, 1e-9), True)
-    if _one_sided(placed) and k == 1 and step[d] < 0:
+    if (placed.effect.parameters[0].positive or trial.one_sided) and k == 1 and step[d] < 0:
         return Screened(placed, trial, -0.69, 0.0, np.zeros(k), np.zeros(d))
     n = lin.degrees_of_freedom
     penalty = float((prior[d:] * step[d:] ** 2).sum()) + float(((lin.point.z + step[:d]) ** 2 - lin.point.z**2).sum())
@@ -124,7 +122,3 @@ def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray) ->
 def profile(chi2: float, s2: float, n: int) -> float:
     """Negative log likelihood of a whitened misfit under noise widened by s2, up to a constant."""
     return 0.5 * n * np.log(s2) + 0.5 * chi2 / s2
-
-
-def _one_sided(placed: PlacedEffect) -> bool:
-    return placed.effect.parameters[0].positive

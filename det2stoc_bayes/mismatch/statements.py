@@ -13,13 +13,6 @@ from det2stoc_bayes.optimize import Fit
 
 NUM_DRAWS = 1000
 INTERVAL = (2.5, 97.5)
-_WORDS = {
-    "viscous_damping": "Viscous damping", "coulomb_friction": "Dry friction", "quadratic_damping": "Quadratic damping",
-    "joint_spring": "A spring", "cubic_stiffness": "A hardening spring", "constant_force": "A constant force",
-    "armature": "Reflected inertia", "cogging_torque": "A torque ripple", "quadratic_drag": "Quadratic drag",
-    "actuator_delay": "A delay", "actuator_gain": "A gain", "sensor_bias": "An offset",
-    "numerical_integration": "A finer timestep",
-}  # fmt: skip
 
 
 def draws(fit: Fit, share: float, seed: int, num_draws: int = NUM_DRAWS) -> Float[np.ndarray, "draws size"]:
@@ -31,14 +24,14 @@ def draws(fit: Fit, share: float, seed: int, num_draws: int = NUM_DRAWS) -> Floa
     return fit.point.z + normal @ factor.T
 
 
-def quantity(values: Float[np.ndarray, " draws"], unit: str, *, circular: bool = False) -> finding.Quantity:
-    """Mean, sd and 95 % interval of draws; an angle's about its circular mean."""
+def quantity(values: Float[np.ndarray, "draws *components"], unit: str, *, circular: bool = False) -> finding.Quantity:
+    """Mean, sd and 95 % interval of draws, of a vector as lists; an angle's about its circular mean."""
     if circular:
         centre = np.angle(np.exp(1j * values).mean())
         values = centre + np.angle(np.exp(1j * (values - centre)))
-    low, high = np.percentile(values, INTERVAL)
-    return finding.Quantity(
-        mean=float(values.mean()), sd=float(values.std()), interval=(float(low), float(high)), unit=unit
+    bounds = np.percentile(values, INTERVAL, axis=0).T
+    return finding.Quantity.model_validate(
+        {"mean": values.mean(0), "sd": values.std(0), "interval": bounds, "unit": unit}
     )
 
 
@@ -53,23 +46,29 @@ def parameters(fit: Fit, placed: PlacedEffect, z: Float[np.ndarray, "draws size"
 
 
 def rounded(q: finding.Quantity) -> str:
-    """`0.310 +- 0.012 N m`, with two digits of uncertainty."""
-    mean, sd = float(q.mean), float(q.sd)  # type: ignore[arg-type]
+    """`0.310 +- 0.012 N m`, with two digits of uncertainty; a vector's components in brackets."""
+    unit = "" if q.unit in ("", "1") else f" {q.unit}"
+    if isinstance(q.mean, tuple) and isinstance(q.sd, tuple):
+        return f"({', '.join(_rounded(m, s) for m, s in zip(q.mean, q.sd, strict=True))}){unit}"
+    return f"{_rounded(q.mean, q.sd)}{unit}"
+
+
+def _rounded(mean, sd) -> str:
+    mean, sd = (float("nan") if x is None else float(x) for x in (mean, sd))
     digits = max(0, 1 - int(np.floor(np.log10(sd)))) if sd > 0 else 3
-    unit = "" if q.unit == "1" else f" {q.unit}"
     if digits > 6 or abs(mean) >= 1e6:
-        return f"{mean:.3g} +- {sd:.2g}{unit}"
-    return f"{mean:.{digits}f} +- {sd:.{digits}f}{unit}"
+        return f"{mean:.3g} +- {sd:.2g}"
+    return f"{mean:.{digits}f} +- {sd:.{digits}f}"
 
 
 def statement(placed: PlacedEffect, values: Mapping[str, finding.Quantity], equivalent: tuple[str, ...]) -> str:
     """What is missing, where and how much, in a sentence."""
     effect = placed.effect
-    sizes = ", ".join(f"{name} {rounded(q)}" for name, q in values.items())
+    sizes = ", ".join(f"{name.replace('_', ' ')} {rounded(q)}" for name, q in values.items())
     if len(values) == 1:
         sizes = rounded(next(iter(values.values())))
     equally = f" (or equally {', '.join(equivalent)})" if equivalent else ""
-    word = _WORDS.get(effect.name, effect.name.replace("_", " ").capitalize())
+    word = effect.noun or effect.name.replace("_", " ").capitalize()
     verb = "is missing" if effect.kind not in ("sensor", "actuator") else "was left out"
     return f"{word}{equally} of {sizes} on {placed.element.label} {verb}."
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from det2stoc_bayes.engines.layout import joint_elements
+from det2stoc_bayes.engines.elements import joint_elements
 from det2stoc_bayes.mismatch.response import Response
 from det2stoc_bayes.optimize import Fit
 
@@ -31,7 +31,7 @@ def action(after: Fit, slot: int) -> tuple[np.ndarray, Response]:
     """Squared change of speed that an effect makes in each interval (segments, intervals)."""
     without = [e for k, e in enumerate(after.problem.effects) if k != slot]
     placed = after.problem.effects[slot]
-    values = {n: float(v[0]) for n, v in after.problem.effect_values(after.point.z[None])[slot].items()}
+    values = {n: v[0] for n, v in after.problem.effect_values(after.point.z[None])[slot].items()}
     begin = after.problem.num_psi + sum(e.size for e in after.problem.effects[:slot])
     z = np.delete(after.point.z, np.arange(begin, begin + placed.size))
     linear = replace(after.linear, problem=after.problem.with_effects(without), point=replace(after.point, z=z))

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from catalogue import AIR, FORMS, VALUES, place_form
 from conftest import (
     ARM,
     CARTPOLE,
@@ -20,10 +21,8 @@ from conftest import (
 )
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
-from det2stoc_bayes.engines.layout import actuator_elements, body_elements, joint_elements, sensor_elements
 from det2stoc_bayes.engines.mjx import Mjx
 from det2stoc_bayes.engines.mujoco_c import MujocoC
-from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect, Typical
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.segments import cut
 from det2stoc_bayes.simulator import Simulator
@@ -94,39 +93,6 @@ def test_same_motion(compiled, bodies, rest, integrator):
     assert (moved[:-13] > 1e-3).all() if "stone" in bodies else (moved > 1e-3).all()
 
 
-VALUES = {
-    "viscous_damping": [0.3],
-    "coulomb_friction": [0.2],
-    "quadratic_damping": [0.4],
-    "joint_spring": [2.0, 0.3],
-    "cubic_stiffness": [30.0],
-    "constant_force": [0.7],
-    "armature": [0.05],
-    "cogging_torque": [0.3, 9.0, 0.4],
-    "quadratic_drag": [0.6],
-    "actuator_delay": [0.0333],
-    "actuator_gain": [1.7],
-    "sensor_bias": [0.1],
-}
-
-
-def placed_effects(model):
-    """Every effect of the catalogue with values, on the second element that it fits."""
-    elements = {
-        "joint": joint_elements(model),
-        "body": body_elements(model),
-        "actuator": actuator_elements(model),
-        "sensor": sensor_elements(model, tuple(state_columns(model))),
-    }
-    return [
-        (
-            PlacedEffect(CATALOGUE[name], elements[CATALOGUE[name].kind][1], Typical()),
-            {p.name: v for p, v in zip(CATALOGUE[name].parameters, values, strict=True)},
-        )
-        for name, values in VALUES.items()
-    ]
-
-
 # What has a weight derived from inertias (friction, limits), or is left out of MJX's program at 0.
 DERIVED = {
     "dof_frictionloss": [0.05, 0.08],
@@ -144,8 +110,8 @@ def test_same_motion_with_every_effect_and_derived_constant(compiled):
     bodies = ARM.replace('name="elbow"', 'name="elbow" range="-0.3 0.3" limited="true"')
     bodies = bodies.replace('name="shoulder"', 'name="shoulder" frictionloss="0.1"')
     sensors = '<subtreelinvel name="flow" body="upper"/><actuatorfrc name="effort" actuator="servo"/>'
-    model = compiled(bodies, MOTORS + f"<sensor>{sensors}</sensor>")
-    effects = placed_effects(model)
+    model = compiled(bodies, MOTORS + f"<sensor>{sensors}</sensor>", option=AIR.format("Euler"))
+    effects = [(place_form(model, form), VALUES[form]) for form in FORMS if form != "PayloadMass"]
     rows = len(DERIVED) + len(effects) + 1
     fields = {}
     for k, (name, value) in enumerate(DERIVED.items()):
@@ -156,12 +122,15 @@ def test_same_motion_with_every_effect_and_derived_constant(compiled):
     alone, together = [], []
     for k, (placed, values) in enumerate(effects, len(DERIVED)):
         alone.append(EffectRows(placed, slice(k, k + 1), {n: np.array([v]) for n, v in values.items()}))
-        absent = {p.name: p.absent for p in placed.effect.parameters}
+        absent = {p.name: p.absent if p.size == 1 else [p.absent] * p.size for p in placed.effect.parameters}
+        absent |= {n: values[n] for n in ("velocity", "cycles", "frequency") if n in values and np.ndim(values[n]) == 0}
         present = [values if row == k else absent for row in range(rows)]
         together.append(EffectRows(placed, slice(0, rows), {n: np.array([v[n] for v in present]) for n in values}))
     columns = [*state_columns(model), "sensor/flow/0", "sensor/flow/2", "sensor/effort"]
     c = agree(model, fields, tuple(alone), tuple(together), rows, columns=columns)
-    assert (np.abs(c[:-1] - c[-1]).max((1, 2)) > 1e-3).all()
+    names = [*DERIVED, *(placed.label for placed, _ in effects)]
+    unmoved = [n for n, change in zip(names, np.abs(c[:-1] - c[-1]).max((1, 2)), strict=True) if change < 1e-3]
+    assert unmoved == []
 
 
 def test_derivatives(tmp_path):
@@ -185,11 +154,10 @@ prior = { Normal = { loc = -9.8, scale = 0.1 } }
     series |= {"ctrl/turn": np.sin(9 * time), "ctrl/servo": 0.5 * np.cos(7 * time)}
     study = make_study(tmp_path / "s", xml, toml, {"one": (time, series)})
     c, mjx = Simulator(study), Simulator(study, "mjx")
-    chosen = ("quadratic_damping", "quadratic_drag", "actuator_delay", "sensor_bias")
-    effects = [p for p, _ in placed_effects(c.model) if p.effect.name in chosen]
-    values = [
-        np.asarray(p.effect.to_normal(v, p.typical)) for p, v in placed_effects(c.model) if p.effect.name in chosen
-    ]
+    chosen = ("QuadraticDamping", "QuadraticDrag", "ActuatorDelay", "SensorBias", "StribeckFriction")
+    chosen += ("GravityTilt", "ComOffset", "ActuatorLag", "PeriodicForce", "ClockSkew")
+    effects = [place_form(c.model, form) for form in chosen]
+    values = [p.effect.to_normal(VALUES[form], p.typical) for form, p in zip(chosen, effects, strict=True)]
     problem, other = (make_problem(s, num_samples=13).with_effects(effects) for s in (c, mjx))
     z = np.concatenate([[0.3, 0.5, -0.2], *values])
     start, states = problem.guess.start, 2 * c.model.nv
@@ -207,9 +175,15 @@ prior = { Normal = { loc = -9.8, scale = 0.1 } }
         return c.rollout(problem.request(x[None, : len(z)], problem.moved(start, change)))
 
     np.testing.assert_allclose(values, run(x), rtol=0, atol=1e-8)
+    # The arm moves in the plane of x and z.
+    across = [name.endswith(".offset.y") for name in problem.names] + [False] * states
+    assert sum(across) == 1
     for k in range(len(x)):
         step = 1e-5 * np.eye(len(x))[k]
         difference = (run(x + step) - run(x - step)) / 2e-5
+        if across[k]:
+            assert np.abs(difference).max() == np.abs(jacobian[..., k]).max() == 0
+            continue
         assert np.abs(difference).max() > 1e-6
         assert np.abs(difference - jacobian[..., k]).max() < 1e-4 * np.abs(difference).max()
 

@@ -11,7 +11,7 @@ from conftest import ARM, HINGE, MOTORS, SLIDE, blank_recording
 
 from det2stoc_bayes.engines import mjx as module
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
-from det2stoc_bayes.engines.layout import joint_elements
+from det2stoc_bayes.engines.elements import joint_elements
 from det2stoc_bayes.engines.mjx import Mjx
 from det2stoc_bayes.engines.mjx_support import check_effect, check_fields, check_supported
 from det2stoc_bayes.engines.mujoco_c import MujocoC

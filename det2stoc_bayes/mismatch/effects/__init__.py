@@ -1,37 +1,47 @@
 """The catalogue of effects: adding one is one class in one of these files and its line here."""
 
-from det2stoc_bayes.mismatch.effects.actuator import ActuatorDelay, ActuatorGain
+from det2stoc_bayes.mismatch.effects import actuator, body, friction, inertia, joint, periodic, sensor, simulator, world
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Element, PlacedEffect, Typical
-from det2stoc_bayes.mismatch.effects.body import QuadraticDrag
-from det2stoc_bayes.mismatch.effects.joint import (
-    Armature,
-    CoggingTorque,
-    ConstantForce,
-    CoulombFriction,
-    CubicStiffness,
-    JointSpring,
-    QuadraticDamping,
-    ViscousDamping,
-)
-from det2stoc_bayes.mismatch.effects.sensor import SensorBias
-from det2stoc_bayes.mismatch.effects.simulator import NumericalIntegration
 
 CATALOGUE: dict[str, Effect] = {
     effect.name: effect
     for effect in (
-        ViscousDamping(),
-        CoulombFriction(),
-        QuadraticDamping(),
-        JointSpring(),
-        CubicStiffness(),
-        ConstantForce(),
-        Armature(),
-        CoggingTorque(),
-        QuadraticDrag(),
-        ActuatorDelay(),
-        ActuatorGain(),
-        SensorBias(),
-        NumericalIntegration(),
+        joint.ViscousDamping(),
+        joint.CoulombFriction(),
+        friction.StribeckFriction(),
+        joint.QuadraticDamping(),
+        friction.LoadDependentFriction(),
+        joint.JointSpring(),
+        joint.CubicStiffness(),
+        joint.ConstantForce(),
+        joint.Armature(),
+        periodic.CoggingTorque(),
+        periodic.PeriodicForce(),
+        body.LinearDrag(),
+        body.QuadraticDrag(),
+        body.MagnusLift(),
+        inertia.PayloadMass(),
+        inertia.MassError(),
+        inertia.ComOffset(),
+        inertia.InertiaError(),
+        world.GravityTilt(),
+        world.GravityError(),
+        world.SteadyWind(),
+        periodic.PeriodicWind(),
+        actuator.ActuatorDelay(),
+        actuator.ActuatorLag(),
+        actuator.ActuatorGain(),
+        actuator.ActuatorBias(),
+        actuator.ActuatorDeadZone(),
+        actuator.ActuatorSaturation(),
+        actuator.ActuatorGainDrift(),
+        actuator.TorqueSpeedLimit(),
+        sensor.SensorBias(),
+        sensor.SensorScale(),
+        sensor.SensorDelay(),
+        sensor.SensorDrift(),
+        sensor.ClockSkew(),
+        simulator.NumericalIntegration(),
     )
 }
 

@@ -2,53 +2,25 @@
 
 An effect is written once, for arrays of either library: `xp` is numpy (many simulations at once, leading axes) or
 jax.numpy (one simulation). It enters a simulation through one or more of the hooks `fields` (model fields),
-`joint_force`, `body_force`, `control`, `sample_time` / `reading` (sensors) and `options` (the integrator).
+`momentary` (model fields rewritten at every step), `joint_force`, `body_force`, `control`, `sample_time` / `reading`
+(sensors) and `options` (the integrator).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.mismatch.effects.elements import Array, BodyState, Drive, Element, JointState, Kind, Typical
 from det2stoc_bayes.priors import Prior
 
-Array = Any  # numpy or jax array
+__all__ = ["Array", "BodyState", "Drive", "Effect", "EffectParameter", "Element", "JointState", "PlacedEffect"]
+__all__ += ["Trial", "Typical", "normal", "onehot"]
 COLUMN_UNIT = "unit of the column"
-Kind = Literal["joint", "body", "actuator", "sensor", "world", "contact", "simulator"]
-
-
-@dataclass(frozen=True)
-class Element:
-    """Something in the model that an effect can sit on; `address` are the indices the hooks need."""
-
-    kind: Kind
-    name: str
-    hinge: bool = False  # rotational: the second of two unit forms
-    dof: int = -1
-    qpos: int = -1
-    body: int = -1
-    ctrl: int = -1
-    column: str = ""
-    unit: str = ""  # of a sensor's column
-
-    @property
-    def label(self) -> str:
-        """Kind and name, as `joint wrist`."""
-        return f"{self.kind} {self.name}"
-
-
-@dataclass(frozen=True)
-class Typical:
-    """Magnitudes in the believed model's own simulation, from which an effect's prior scales follow (SI units)."""
-
-    force: float = 1.0
-    speed: float = 1.0
-    span: float = 1.0
-    inertia: float = 1.0
-    timestep: float = 0.002
-    integrator: str = "Euler"
+COMMAND_UNIT = "unit of u"
+AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -63,36 +35,34 @@ class EffectParameter:
     unit: str | tuple[str, str]
     absent: float = 0.0
     positive: bool = False
+    size: int = 1  # 3: a vector, whose values have a last axis of x, y, z
 
     def unit_on(self, element: Element) -> str:
         """The unit on this element, ASCII."""
-        if self.unit == COLUMN_UNIT:
-            return element.unit
+        if isinstance(self.unit, str) and self.unit.startswith((COLUMN_UNIT, COMMAND_UNIT)):
+            rest = self.unit.removeprefix(COLUMN_UNIT).removeprefix(COMMAND_UNIT)
+            return (element.unit or "1") + rest.replace(" per ", "/") if rest else element.unit
         return self.unit if isinstance(self.unit, str) else self.unit[int(element.hinge)]
 
-
-@dataclass(frozen=True)
-class JointState:
-    """Position, speed and time of one joint."""
-
-    q: Array
-    v: Array
-    t: Array
-
-
-@dataclass(frozen=True)
-class BodyState:
-    """World-frame velocity of a body's centre of mass (..., 3) and time."""
-
-    velocity: Array
-    t: Array
+    @property
+    def components(self) -> tuple[str, ...]:
+        """A name for each scalar: `offset.x` of a vector."""
+        return (self.name,) if self.size == 1 else tuple(f"{self.name}.{axis}" for axis in AXES)
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One group of columns to screen: unit values of the parameters for each column, and how coefficients combine."""
+    """One group of columns to screen: values of the parameters for each column.
 
-    columns: tuple[Mapping[str, float], ...]
+    `sd`: prior scale of the coefficients; 100 where columns stand at 1 % of an effect's scale, 1 for full-sized ones.
+    """
+
+    columns: tuple[Mapping[str, Any], ...]
+    sd: float = 100.0
+    one_sided: bool = False  # a negative coefficient is no such effect
+
+
+SMALL = 0.01  # of an effect's prior scale, at which columns stand
 
 
 class Effect:
@@ -102,42 +72,69 @@ class Effect:
     kind: ClassVar[Kind]
     law: ClassVar[str]
     law_text: ClassVar[str]
+    noun: ClassVar[str] = ""  # how a sentence begins; by default the name
     parameters: ClassVar[tuple[EffectParameter, ...]]
+    needs: ClassVar[frozenset[str]] = frozenset()  # traits that an element must have
     changes: ClassVar[tuple[str, ...]] = ()  # model fields that `fields` rewrites
+    writes: ClassVar[tuple[str, ...]] = ()  # model fields that `momentary` rewrites
+    reads: ClassVar[tuple[str, ...]] = ()  # further model fields that `momentary` looks at
     in_mjx_fields: ClassVar[bool] = True  # whether MJX honours those fields
     complexity: ClassVar[int] = 1  # among equivalent effects the lowest names the class
 
+    def fits(self, element: Element) -> bool:
+        """Whether the effect can sit there."""
+        return element.kind == self.kind and self.needs <= element.traits
+
+    def forms(self) -> tuple["Effect", ...]:
+        """All forms of the effect, which differ in their parameters; the last one that fits an element is used."""
+        return (self,)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return sum(p.size for p in self.parameters)
+
     # --- priors -----------------------------------------------------------------------------------------------
     def priors(self, typical: Typical) -> Mapping[str, Prior]:
-        """Prior of each parameter."""
+        """Prior of each parameter, of a vector that of each component."""
         raise NotImplementedError
 
     def from_normal(self, z: Sequence[Array], typical: Typical, xp: Any = np) -> dict[str, Array]:
-        """Parameter values from independent standard normals, one a parameter."""
-        priors = self.priors(typical)
-        return {p.name: priors[p.name].from_normal(zi, xp) for p, zi in zip(self.parameters, z, strict=True)}
+        """Parameter values from independent standard normals, one a scalar."""
+        priors, left, out = self.priors(typical), iter(z), {}
+        for p in self.parameters:
+            parts = [priors[p.name].from_normal(next(left), xp) for _ in range(p.size)]
+            out[p.name] = parts[0] if p.size == 1 else xp.stack(parts, -1)
+        return out
 
-    def to_normal(self, values: Mapping[str, float], typical: Typical) -> Float[np.ndarray, " parameters"]:
+    def to_normal(self, values: Mapping[str, Any], typical: Typical) -> Float[np.ndarray, " unknowns"]:
         """Inverse of `from_normal`."""
         priors = self.priors(typical)
-        return np.array([float(priors[p.name].to_normal(np.asarray(values[p.name]))) for p in self.parameters])
+        return np.concatenate([np.ravel(priors[p.name].to_normal(np.asarray(values[p.name]))) for p in self.parameters])
 
     # --- screening --------------------------------------------------------------------------------------------
     def trials(self, typical: Typical) -> list[Trial]:
-        """Column groups whose best evidence ranks the effect; by default its first parameter, at 1 % of its scale."""
-        first, prior = self.parameters[0], self.priors(typical)[self.parameters[0].name]
-        step = 0.01 * float(prior.from_normal(np.array(1.0)) - first.absent)
-        return [Trial(({first.name: first.absent + step},))]
+        """Column groups whose best evidence ranks the effect; by default its first parameter's components."""
+        first = self.parameters[0]
+        step = SMALL * float(self.priors(typical)[first.name].from_normal(np.array(1.0)) - first.absent)
+        return [Trial(unit_columns(first, step))]
 
-    def combine(self, trial: Trial, coefficients: Float[np.ndarray, " columns"], typical: Typical) -> dict[str, float]:
+    def combine(self, trial: Trial, coefficients: Float[np.ndarray, " columns"], typical: Typical) -> dict[str, Any]:
         """Starting values for refinement from a trial's fitted coefficients (in units of its columns)."""
-        first, column = self.parameters[0], dict(trial.columns[0])
-        step = column[first.name] - first.absent
-        return column | {first.name: first.absent + float(coefficients[0]) * step}
+        first = self.parameters[0]
+        steps = [np.asarray(column[first.name]) - first.absent for column in trial.columns]
+        value = first.absent + sum(float(c) * step for c, step in zip(coefficients, steps, strict=True))
+        return {**trial.columns[0], first.name: float(value) if first.size == 1 else value}
 
     # --- hooks ------------------------------------------------------------------------------------------------
     def fields(self, p: Mapping[str, Array], fields: Mapping[str, Array], at: Element, xp: Any) -> dict[str, Array]:
         """Changed model fields; each has the simulations' axes first, then the field's own."""
+        return {}
+
+    def momentary(
+        self, p: Mapping[str, Array], fields: Mapping[str, Array], s: JointState, at: Element, xp: Any
+    ) -> dict[str, Array]:
+        """Model fields for the step that begins, from those that the model has; `s` is the element's joint's."""
         return {}
 
     def joint_force(self, p: Mapping[str, Array], s: JointState, xp: Any) -> Array:
@@ -148,8 +145,8 @@ class Effect:
         """World-frame force (..., 3) at the body's centre of mass."""
         raise NotImplementedError
 
-    def control(self, p: Mapping[str, Array], u: Array, dt: float, xp: Any) -> Array:
-        """What arrives at the actuator, given the command at every step (..., steps)."""
+    def control(self, p: Mapping[str, Array], u: Array, t: Array, dt: Array, xp: Any) -> Array:
+        """What arrives at the actuator, given the command and the time at every step (..., steps)."""
         raise NotImplementedError
 
     def sample_time(self, p: Mapping[str, Array], t: Array, xp: Any) -> Array:
@@ -191,12 +188,42 @@ class PlacedEffect:
 
     @property
     def size(self) -> int:
-        """Number of parameters."""
-        return len(self.effect.parameters)
+        """Number of unknowns."""
+        return self.effect.size
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """A name for each scalar, as `payload_mass[arm].offset.x`."""
+        return tuple(f"{self.key}.{c}" for p in self.effect.parameters for c in p.components)
+
+    def scalars(self, values: Mapping[str, Array]) -> list[Array]:
+        """Parameter values as one array for each of `unknowns`."""
+        out = []
+        for p in self.effect.parameters:
+            out += [values[p.name]] if p.size == 1 else [values[p.name][..., i] for i in range(p.size)]
+        return out
 
     def from_normal(self, z: Sequence[Array], xp: Any = np) -> dict[str, Array]:
         """Parameter values from standard normals."""
         return self.effect.from_normal(z, self.typical, xp)
+
+
+def normal(scale: float) -> Prior:
+    """A signed parameter of this size."""
+    return Prior("Normal", {"loc": 0.0, "scale": scale})
+
+
+def around(value: float, spread: float = 0.7) -> Prior:
+    """A positive parameter of this size, give or take a factor of e^spread."""
+    return Prior("LogNormal", {"loc": float(np.log(value)), "scale": spread})
+
+
+def unit_columns(parameter: EffectParameter, step: float, **others: Any) -> tuple[dict[str, Any], ...]:
+    """A column for each component of a parameter, `step` away from where the effect is absent."""
+    if parameter.size == 1:
+        return ({parameter.name: parameter.absent + step, **others},)
+    moved = parameter.absent + step * np.eye(parameter.size)
+    return tuple({parameter.name: tuple(row), **others} for row in moved)
 
 
 def onehot(length: int, index: int) -> Float[np.ndarray, " length"]:

@@ -2,13 +2,7 @@
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, onehot
-from det2stoc_bayes.priors import Prior
-
-
-def normal(scale: float) -> Prior:
-    """A signed parameter of this size."""
-    return Prior("Normal", {"loc": 0.0, "scale": scale})
+from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, normal, onehot
 
 
 class JointEffect(Effect):
@@ -21,6 +15,7 @@ class ViscousDamping(JointEffect):
     """Friction proportional to speed (MuJoCo's joint damping)."""
 
     name, law, law_text = "viscous_damping", r"-c\,v", "-c v"
+    noun = "Viscous damping"
     parameters = (EffectParameter("coefficient", ("N s/m", "N m s/rad")),)
     changes = ("dof_damping",)
 
@@ -38,6 +33,7 @@ class CoulombFriction(JointEffect):
     """Dry friction of constant size, holding at rest (MuJoCo's frictionloss)."""
 
     name, law, law_text = "coulomb_friction", r"-F\,\operatorname{sign}(v)", "-F sign(v)"
+    noun = "Dry friction"
     parameters = (EffectParameter("force", ("N", "N m"), positive=True),)
     changes = ("dof_frictionloss",)
 
@@ -55,6 +51,7 @@ class QuadraticDamping(JointEffect):
     """Friction that grows with the square of speed (MuJoCo's polynomial damping)."""
 
     name, law, law_text = "quadratic_damping", r"-c\,|v|\,v", "-c abs(v) v"
+    noun = "Quadratic damping"
     parameters = (EffectParameter("coefficient", ("N s2/m2", "N m s2/rad2"), positive=True),)
     changes = ("dof_dampingpoly",)
     in_mjx_fields = False
@@ -78,6 +75,7 @@ class JointSpring(JointEffect):
     """A linear spring with its own rest position."""
 
     name, law, law_text = "joint_spring", r"-k\,(q - q_0)", "-k (q - rest)"
+    noun = "A spring"
     parameters = (EffectParameter("stiffness", ("N/m", "N m/rad")), EffectParameter("rest", ("m", "rad")))
     complexity = 2
 
@@ -120,6 +118,7 @@ class CubicStiffness(JointEffect):
     """A spring that hardens with the cube of position."""
 
     name, law, law_text = "cubic_stiffness", r"-k\,q^3", "-k q^3"
+    noun = "A hardening spring"
     parameters = (EffectParameter("stiffness", ("N/m3", "N m/rad3")),)
 
     def priors(self, typical):
@@ -135,6 +134,7 @@ class ConstantForce(JointEffect):
     """A force that is always there."""
 
     name, law, law_text = "constant_force", r"+F", "+F"
+    noun = "A constant force"
     parameters = (EffectParameter("force", ("N", "N m")),)
 
     def priors(self, typical):
@@ -150,6 +150,7 @@ class Armature(JointEffect):
     """Inertia reflected through the drive (MuJoCo's armature)."""
 
     name, law, law_text = "armature", r"-I\,\dot v", "-I dv/dt"
+    noun = "Reflected inertia"
     parameters = (EffectParameter("inertia", ("kg", "kg m2"), positive=True),)
     changes = ("dof_armature",)
 
@@ -161,69 +162,3 @@ class Armature(JointEffect):
         """Adds to the joint's armature."""
         armature = fields["dof_armature"]
         return {"dof_armature": armature + p["inertia"][..., None] * onehot(armature.shape[-1], at.dof)}
-
-
-class CoggingTorque(JointEffect):
-    """A ripple that repeats with position."""
-
-    name, law, law_text = "cogging_torque", r"A\,\sin(n q + \varphi)", "A sin(n q + phase)"
-    parameters = (
-        EffectParameter("amplitude", ("N", "N m")),
-        EffectParameter("cycles", ("1/m", "1/rad")),
-        EffectParameter("phase", "rad"),
-    )
-    complexity = 3
-
-    def _cycle_range(self, typical):
-        # From half a period to thirty over the typical travel: slower is a spring, faster is out of sight.
-        return np.pi / typical.span, 60 * np.pi / typical.span
-
-    def priors(self, typical):
-        """Amplitude a fraction of the typical force; cycles log-uniform; phase uniform."""
-        low, high = self._cycle_range(typical)
-        return {
-            "amplitude": normal(0.2 * typical.force),
-            "cycles": Prior("LogUniform", {"low": low, "high": high}),
-            "phase": Prior("Uniform", {"low": -np.pi, "high": np.pi}),
-        }
-
-    def from_normal(self, z, typical, xp=np):
-        """Sine and cosine parts are normal, so that the phase has no seam."""
-        sine, cosine = 0.2 * typical.force * z[0], 0.2 * typical.force * z[1]
-        cycles = self.priors(typical)["cycles"].from_normal(z[2], xp)
-        return {"amplitude": xp.hypot(sine, cosine), "cycles": cycles, "phase": xp.arctan2(cosine, sine)}
-
-    def to_normal(self, values, typical):
-        """Inverse of `from_normal`."""
-        a = values["amplitude"] / (0.2 * typical.force)
-        cycles = self.priors(typical)["cycles"].to_normal(np.asarray(values["cycles"]))
-        return np.array([a * np.cos(values["phase"]), a * np.sin(values["phase"]), float(cycles)])
-
-    def trials(self, typical):
-        """A sine and a cosine column for each of a ladder of spatial frequencies."""
-        low, high = self._cycle_range(typical)
-        amplitude = 0.002 * typical.force
-        # Ripples n and n' decorrelate once (n' - n) span > pi / 2: a grid of that pitch, on whole cycles where dense.
-        grid = np.unique(np.round(np.arange(low, high, np.pi / (2 * typical.span)), 6))
-        return [
-            Trial(
-                (
-                    {"amplitude": amplitude, "cycles": n, "phase": 0.0},
-                    {"amplitude": amplitude, "cycles": n, "phase": np.pi / 2},
-                )
-            )
-            for n in grid
-        ]
-
-    def combine(self, trial, coefficients, typical):
-        """Amplitude and phase from the sine and cosine coefficients."""
-        unit = trial.columns[0]
-        return {
-            "amplitude": unit["amplitude"] * float(np.hypot(*coefficients)),
-            "cycles": unit["cycles"],
-            "phase": float(np.arctan2(coefficients[1], coefficients[0])),
-        }
-
-    def joint_force(self, p, s, xp):
-        """A sine of position."""
-        return p["amplitude"] * xp.sin(p["cycles"] * s.q + p["phase"])

@@ -1,13 +1,19 @@
 """Effects between the truth and what is recorded."""
 
-from det2stoc_bayes.mismatch.effects.base import COLUMN_UNIT, Effect, EffectParameter
-from det2stoc_bayes.mismatch.effects.joint import normal
+from det2stoc_bayes.mismatch.effects.base import COLUMN_UNIT, Effect, EffectParameter, normal
+from det2stoc_bayes.priors import Prior
 
 
-class SensorBias(Effect):
+class SensorEffect(Effect):
+    """An effect on one recorded column."""
+
+    kind, needs = "sensor", frozenset({"value"})
+
+
+class SensorBias(SensorEffect):
     """A column is off by a constant."""
 
-    name, kind, law, law_text = "sensor_bias", "sensor", r"y + b", "y + offset"
+    name, law, law_text, noun = "sensor_bias", r"y + b", "y + offset", "An offset"
     parameters = (EffectParameter("offset", COLUMN_UNIT),)
 
     def priors(self, typical):
@@ -17,3 +23,69 @@ class SensorBias(Effect):
     def reading(self, p, t, value, xp):
         """Shifted."""
         return value + p["offset"][..., None]
+
+
+class SensorScale(SensorEffect):
+    """A column is scaled."""
+
+    name, law, law_text, noun = "sensor_scale", r"\rho\,y", "ratio y", "A scale"
+    parameters = (EffectParameter("ratio", "1", absent=1.0),)
+    complexity = 2
+
+    def priors(self, typical):
+        """Around 1."""
+        return {"ratio": Prior("Normal", {"loc": 1.0, "scale": 0.1})}
+
+    def reading(self, p, t, value, xp):
+        """Scaled about its zero."""
+        return p["ratio"][..., None] * value
+
+
+class SensorDelay(SensorEffect):
+    """A column shows what was a while ago."""
+
+    name, law, law_text, noun = "sensor_delay", r"y(t - \tau)", "y(t - delay)", "A delay"
+    parameters = (EffectParameter("delay", "s", positive=True),)
+    complexity = 2
+
+    def priors(self, typical):
+        """Filters and buses take milliseconds to tens of milliseconds."""
+        return {"delay": normal(0.03)}
+
+    def sample_time(self, p, t, xp):
+        """Earlier."""
+        return t - p["delay"][..., None]
+
+
+class SensorDrift(SensorEffect):
+    """A column's zero moves with time."""
+
+    name, law, law_text, noun = "sensor_drift", r"y + r\,t", "y + rate t", "A drift"
+    parameters = (EffectParameter("rate", COLUMN_UNIT + " per s"),)
+    complexity = 2
+
+    def priors(self, typical):
+        """Over a recording a fraction of the column's range."""
+        return {"rate": normal(0.05 * typical.span / typical.duration)}
+
+    def reading(self, p, t, value, xp):
+        """Off by what has gathered since time 0."""
+        return value + p["rate"][..., None] * t
+
+
+class ClockSkew(Effect):
+    """The recording's clock, which stamps samples and commands alike, runs at `ratio` times true time."""
+
+    name, kind, needs = "clock_skew", "sensor", frozenset({"clock"})
+    law, law_text, noun = r"t_{\text{recorded}} = \rho\,t", "time = ratio t", "A clock's skew"
+    parameters = (EffectParameter("ratio", "1", absent=1.0),)
+    changes = ("opt.timestep",)
+    complexity = 2
+
+    def priors(self, typical):
+        """Timers that software keeps are off by a percent or two."""
+        return {"ratio": Prior("Normal", {"loc": 1.0, "scale": 0.02})}
+
+    def fields(self, p, fields, at, xp):
+        """A step of the recorded clock is one of true time over the ratio."""
+        return {"opt.timestep": fields["opt.timestep"] / p["ratio"]}

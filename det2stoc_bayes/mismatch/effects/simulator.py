@@ -7,4 +7,5 @@ class NumericalIntegration(Effect):
     """The believed timestep is too coarse: a finer one moves otherwise. Its one value is searched, not inferred."""
 
     name, kind, law, law_text = "numerical_integration", "simulator", r"\Delta t \to 0", "timestep -> 0"
+    noun = "A finer timestep"
     parameters = (EffectParameter("timestep", "s"),)

@@ -1,0 +1,165 @@
+"""Simulations in C that are stepped together."""
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import mujoco.batch
+import numpy as np
+from jaxtyping import Bool, Float
+
+from det2stoc_bayes.engines.base import EffectRows, Request, Trajectory
+from det2stoc_bayes.engines.layout import column_address
+from det2stoc_bayes.engines.mujoco_steps import Stepper, is_stepped
+from det2stoc_bayes.segments import TIME_SLACK
+
+_BAD_STATE = [int(getattr(mujoco.mjtWarning, f"mjWARN_BADQ{x}")) for x in ("POS", "VEL", "ACC")]
+_STATE = mujoco.mjtState
+_SET_CONST_INPUTS = frozenset(mujoco.MjModel._setconst_inputs)
+
+
+class Chunk:
+    """Simulations that are stepped together."""
+
+    def __init__(self, model: mujoco.MjModel, request: Request, rows: slice, num_steps: int, threads: int):
+        self.model, self.request, self.rows, self.num_steps = model, request, rows, num_steps
+        self.count, self.dt = rows.stop - rows.start, model.opt.timestep
+        self.which, self.segments = request.which[rows], request.segments
+        self.effects = [e for e in (_restrict(e, rows) for e in request.effects) if e is not None]
+        self.addresses = [column_address(model, c) for c in self.segments.columns]
+        self.body_forces = any(e.placed.effect.uses("body_force") for e in self.effects)
+        self.fields: dict[str, np.ndarray] = {}  # that simulations have for themselves
+        self.stepped = any(is_stepped(e) for e in self.effects)
+        self.batch = mujoco.batch.Batch(model, self.count, threads, persistent=self.body_forces)
+
+    def run(self, states: bool) -> Trajectory:
+        """Simulate and read off."""
+        self._set_fields()
+        start = self.request.start[self.rows]
+        batch = self.batch
+        batch.bind("time")[:] = self.segments.time[self.which, 0][:, None].reshape(batch.bind("time").shape)
+        batch.bind("qpos")[:], batch.bind("qvel")[:] = start.qpos, start.qvel
+        if self.model.na:
+            batch.bind("act")[:] = start.act
+        ctrl = self._commands()
+        sources = {a.source for a in self.addresses}
+        items = {"qpos", "qvel"} | sources | ({"act"} if states and self.model.na else set())
+        if self.stepped:
+            time = self.segments.time[self.which, 0]
+            record = Stepper(self.model, batch, self.effects, time).run(ctrl, sorted(items))
+        else:
+            record = self._roll(ctrl, items)
+        series = {
+            "qpos": np.concatenate([start.qpos[:, None], record["qpos"]], 1),
+            "qvel": np.concatenate([start.qvel[:, None], record["qvel"]], 1),
+        }
+        if "sensordata" in sources:
+            # A step's sensors describe the state before it; those of the last state are computed apart.
+            last = batch.bind("sensordata")
+            batch.forward()
+            series["sensordata"] = np.concatenate([record["sensordata"], last[:, None]], 1)
+        columns = self._read(series)
+        if not states:
+            empty = np.empty((*columns.shape[:2], 0))
+            return Trajectory(columns, empty, empty, empty)
+        if self.model.na:
+            series["act"] = np.concatenate([start.act[:, None], record["act"]], 1)
+        else:
+            series["act"] = np.empty((*series["qpos"].shape[:2], 0))
+        stamps = self.segments.time[self.which]
+        at = (stamps - stamps[:, :1]) / self.dt
+        return Trajectory(columns, *(_interpolate(series[name], at) for name in ("qpos", "qvel", "act")))
+
+    def _set_fields(self) -> None:
+        fields = self.fields
+        for name, values in self.request.fields.items():
+            fields[name] = self.batch.expand(name)
+            fields[name][:] = values[self.rows].reshape(fields[name].shape)
+        for effect in self.effects:
+            for name in effect.placed.effect.changes:
+                fields.setdefault(name, self.batch.expand(name))
+            inside = {name: fields[name][effect.rows] for name in effect.placed.effect.changes}
+            for name, value in effect.placed.effect.fields(
+                effect.parameters, inside, effect.placed.element, np
+            ).items():
+                fields[name][effect.rows] = value
+        if any(name in _SET_CONST_INPUTS for name in fields):
+            self.batch.set_const()
+
+    def _commands(self) -> Float[np.ndarray, "sims steps ctrl"]:
+        """What arrives at the actuators at every step, and at the one after the last."""
+        acting = [e for e in self.effects if e.placed.effect.uses("control")]
+        before = num_before(acting, self.dt)
+        used, inverse = np.unique(self.which, return_inverse=True)
+        ctrl = self.segments.commands(used, self.dt, self.num_steps + 1, before)[inverse]
+        time = self.segments.time[self.which, :1] + (np.arange(ctrl.shape[1]) - before) * self.dt
+        for e in acting:
+            a = e.placed.element.ctrl
+            step = self.fields["opt.timestep"][e.rows] if "opt.timestep" in self.fields else self.dt
+            ctrl[e.rows, :, a] = e.placed.effect.control(e.parameters, ctrl[e.rows, :, a], time[e.rows], step, np)
+        return ctrl[:, before:]
+
+    def _roll(self, ctrl, items) -> Mapping:
+        control = ctrl[:, :-1] if self.model.nu else None
+        record = self.batch.rollout(self.num_steps, control, int(_STATE.mjSTATE_CTRL), tuple(items))
+        if self.model.nu:
+            self.batch.bind("ctrl")[:] = ctrl[:, -1]
+        return record
+
+    def _frozen(self, speeds: Float[np.ndarray, "sims steps nv"]) -> Bool[np.ndarray, " sims"]:
+        """Simulations that diverged before their own last sample (a shorter one may diverge after it unharmed)."""
+        failed = (self.batch.warning[:, _BAD_STATE, 1] > 0).any(1)
+        last = self.segments.steps(self.dt)[self.which]
+        return failed & (speeds[np.arange(self.count), last] == speeds[:, -1]).all(1)
+
+    def _read(self, series: dict[str, np.ndarray]) -> Float[np.ndarray, "sims samples columns"]:
+        stamps = self.segments.time[self.which]
+        out = np.empty((*stamps.shape, len(self.addresses)))
+        for j, (column, address) in enumerate(zip(self.segments.columns, self.addresses, strict=True)):
+            effects = [
+                e
+                for e in self.effects
+                if e.placed.element.kind == "sensor" and e.placed.element.column in (column, "time")
+            ]
+            times = np.array(stamps)
+            for e in effects:
+                if e.placed.effect.uses("sample_time"):
+                    times[e.rows] = e.placed.effect.sample_time(e.parameters, times[e.rows], np)
+            values = series[address.source][:, :, address.index]
+            out[:, :, j] = _interpolate(values[..., None], (times - stamps[:, :1]) / self.dt)[..., 0]
+            for e in effects:
+                if e.placed.effect.uses("reading"):
+                    out[e.rows, :, j] = e.placed.effect.reading(e.parameters, stamps[e.rows], out[e.rows, :, j], np)
+        # A diverged state is no prediction; the batch freezes such a simulation at its last one.
+        out[self._frozen(series["qvel"])] = np.nan
+        out[~np.isfinite(out).all((1, 2)) | (np.abs(out).max((1, 2)) > 1e9)] = np.nan
+        return out
+
+
+def num_before(effects: Sequence[EffectRows], dt: float) -> int:
+    """Steps before a start whose commands still matter."""
+    acting = [e for e in effects if e.placed.effect.uses("control")]
+    return max((int(np.ceil(e.placed.effect.memory(e.parameters) / dt)) + 2 for e in acting), default=0)
+
+
+def _restrict(e: EffectRows, rows: slice) -> EffectRows | None:
+    begin, stop = max(e.rows.start, rows.start), min(e.rows.stop, rows.stop)
+    if begin >= stop:
+        return None
+    inside = slice(begin - e.rows.start, stop - e.rows.start)
+    return EffectRows(
+        e.placed,
+        slice(begin - rows.start, stop - rows.start),
+        {name: values[inside] for name, values in e.parameters.items()},
+    )
+
+
+def _interpolate(
+    values: Float[np.ndarray, "sims steps k"], at: Float[np.ndarray, "sims samples"]
+) -> Float[np.ndarray, "sims samples k"]:
+    """Linear between steps; a little before the first step along the first step's slope."""
+    nearest = np.rint(at)
+    at = np.where(np.abs(at - nearest) < TIME_SLACK * 10, nearest, at)
+    low = np.clip(np.floor(at).astype(int), 0, values.shape[1] - 2)
+    share = (at - low)[..., None]
+    rows = np.arange(len(values))[:, None]
+    return (1 - share) * values[rows, low] + share * values[rows, low + 1]

@@ -1,0 +1,115 @@
+"""Single steps of a batch, with forces and model fields that depend on the state."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.engines import drive
+from det2stoc_bayes.engines.base import EffectRows
+from det2stoc_bayes.mismatch.effects.base import BodyState, JointState
+
+_NONE, _VEL = mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL
+
+
+def is_stepped(e: EffectRows) -> bool:
+    """Whether the effect needs the state at every step."""
+    effect = e.placed.effect
+    return bool(effect.writes) or effect.uses("body_force") or (effect.uses("joint_force") and not effect.changes)
+
+
+class Stepper:
+    """Steps a batch under effects. `time` (sims) is the recorded clock's."""
+
+    def __init__(self, model: mujoco.MjModel, batch: Any, effects: Sequence[EffectRows], time: np.ndarray):
+        self.model, self.batch, self.time, self.dt = model, batch, np.array(time), model.opt.timestep
+        stepped = [e for e in effects if is_stepped(e)]
+        self.momentary = [e for e in stepped if e.placed.effect.writes]
+        self.pushed = [e for e in stepped if e.placed.effect.uses("body_force")]
+        self.forced = [e for e in stepped if e.placed.effect.uses("joint_force")]
+        # A force is held over a step. RK4 weighs the whole step, so its position is taken at the middle; the Euler
+        # integrators take every position force at the beginning.
+        self.lead = 0.5 * self.dt if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
+        self.qpos, self.qvel = batch.bind("qpos"), batch.bind("qvel")
+        self.force, self.wrench = batch.bind("qfrc_applied"), batch.bind("xfrc_applied")
+        self.ctrl = batch.bind("ctrl") if model.nu else np.zeros((len(self.qpos), 0))
+        self.act = batch.bind("act") if model.na else np.zeros((len(self.qpos), 0))
+        self.derived = {n: batch.bind(n) for n in ("cvel", "xipos", "subtree_com")} if self.pushed else {}
+        self.sizes = batch.expand("geom_size") if any(e.placed.element.traits & {"sized"} for e in self.pushed) else None
+        self.fields = self._expanded()
+        self.believed = {n: self.fields[n].copy() for e in self.momentary for n in e.placed.effect.writes}
+
+    def _expanded(self) -> dict[str, np.ndarray]:
+        names: set[str] = set()
+        for e in self.momentary:
+            names |= {*e.placed.effect.writes, *e.placed.effect.reads}
+            names |= set(drive.FIELDS) if e.placed.element.actuators else set()
+        return {name: self.batch.expand(name) for name in sorted(names)}
+
+    def run(
+        self, commands: Float[np.ndarray, "sims _ nu"], items: Sequence[str]
+    ) -> dict[str, Float[np.ndarray, "sims steps _"]]:
+        """Arrays after every step, sensors as they are before it; commands reach one step beyond the last."""
+        batch, num_steps = self.batch, commands.shape[1] - 1
+        live = {name: batch.bind(name) for name in items}
+        out = {name: np.empty((len(self.qpos), num_steps, array.shape[1])) for name, array in live.items()}
+        stage = _VEL if self.pushed else _NONE
+        apart = bool(self.pushed) and "sensordata" in live  # the stages of the new state would overwrite its sensors
+        if self.pushed:
+            batch.forward(stage=stage)
+        for k in range(num_steps):
+            self.prepare(commands[:, k])
+            batch.step(stage=_NONE if apart else stage)
+            self.time += self.dt
+            for name, array in live.items():
+                out[name][:, k] = array
+            if apart:
+                batch.forward(stage=stage)
+        self.prepare(commands[:, num_steps])
+        return out
+
+    def prepare(self, command: Float[np.ndarray, "sims nu"]) -> None:
+        """Command, fields and forces of the step that begins."""
+        self.force[:], self.wrench[:], self.ctrl[:] = 0.0, 0.0, command
+        for name, value in self.believed.items():
+            self.fields[name][:] = value
+        for e in self.momentary:
+            effect, names = e.placed.effect, (*e.placed.effect.writes, *e.placed.effect.reads)
+            inside = {n: self.fields[n][e.rows] for n in names}
+            changed = effect.momentary(e.parameters, inside, self._joint_state(e), e.placed.element, np)
+            for name, value in changed.items():
+                self.fields[name][e.rows] = value
+        if self.momentary and self.pushed:
+            self.batch.forward(stage=_VEL)  # a batch that keeps its stages would step with the fields before
+        for e in self.forced:
+            state = self._joint_state(e)
+            self.force[e.rows, e.placed.element.dof] += e.placed.effect.joint_force(e.parameters, state, np)
+        for e in self.pushed:
+            push = e.placed.effect.body_force(e.parameters, self._body_state(e), np)
+            self.wrench[e.rows, e.placed.element.body, :3] += push
+
+    def _joint_state(self, e: EffectRows) -> JointState:
+        at, rows, time = e.placed.element, e.rows, self.time[e.rows] + self.lead
+        if at.dof < 0:
+            return JointState(0.0 * time, 0.0 * time, time)
+        given = None
+        if at.actuators and e.placed.effect.writes:
+
+            def field(name):
+                return self.fields[name][rows]
+
+            given = drive.drive_of(self.model, at, field, self.ctrl[rows], self.act[rows])
+        speed = self.qvel[rows, at.dof]
+        return JointState(self.qpos[rows, at.qpos] + self.lead * speed, speed, time, given)
+
+    def _body_state(self, e: EffectRows) -> BodyState:
+        at, rows = e.placed.element, e.rows
+        cvel, root = self.derived["cvel"][rows, at.body], self.model.body_rootid[at.body]
+        lever = self.derived["xipos"][rows, at.body] - self.derived["subtree_com"][rows, root]
+        geoms = np.flatnonzero(self.model.geom_bodyid == at.body)
+        sizes = self.model.geom_size[geoms] if self.sizes is None else self.sizes[rows][:, geoms]
+        shapes = tuple(int(t) for t in self.model.geom_type[geoms])
+        velocity = cvel[:, 3:] + np.cross(cvel[:, :3], lever)
+        return BodyState(velocity, self.time[rows], cvel[:, :3], shapes, sizes)

@@ -1,0 +1,97 @@
+"""Where effects sit, the magnitudes that scale their priors, and the states that their laws see."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Array = Any  # numpy or jax array
+Kind = Literal["joint", "body", "actuator", "sensor", "world", "contact", "simulator"]
+
+
+@dataclass(frozen=True)
+class Element:
+    """Something in the model that an effect can sit on; indices and traits are what hooks and candidates need.
+
+    An actuator's dof and qpos are its joint's, if it drives one. `traits`: driven (a joint that motors drive, an
+    actuator that drives a joint), loose (a body whose inertial frame may be changed), sized (a body whose size a
+    recording changes), fluid and wind (of the world), value and clock (of what is recorded).
+    """
+
+    kind: Kind
+    name: str
+    hinge: bool = False  # rotational: the second of two unit forms
+    dof: int = -1
+    qpos: int = -1
+    body: int = -1
+    ctrl: int = -1
+    column: str = ""
+    unit: str = ""  # of a sensor's column
+    actuators: tuple[int, ...] = ()  # an actuator's own index, or those that drive a joint
+    traits: frozenset[str] = frozenset()
+
+    @property
+    def label(self) -> str:
+        """Kind and name, as `joint wrist`."""
+        return self.name if self.kind == self.name else f"{self.kind} {self.name}"
+
+
+@dataclass(frozen=True)
+class Typical:
+    """Magnitudes in the believed model's own simulation, from which an effect's prior scales follow (SI units).
+
+    force, speed, spin: root mean squares; span: half the range travelled, of a body its radius of gyration;
+    peak_*: largest values; command: the largest command; of the world speed is the wind's and force gravity's.
+    """
+
+    force: float = 1.0
+    speed: float = 1.0
+    span: float = 1.0
+    inertia: float = 1.0
+    spin: float = 1.0
+    peak_force: float = 2.0
+    peak_speed: float = 2.0
+    command: float = 1.0
+    duration: float = 1.0  # s, the longest recording's
+    sampling: float = 0.01  # s between samples
+    timestep: float = 0.002
+    integrator: str = "Euler"
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the n actuators of one joint are given: their law's coefficients (..., n, 3), limits and inputs (..., n).
+
+    `u` is a command or an activation; `least` and `most` bound the joint's whole torque (...).
+    """
+
+    gain: Array
+    bias: Array
+    gear: Array
+    low: Array
+    high: Array
+    u: Array
+    least: Array
+    most: Array
+
+
+@dataclass(frozen=True)
+class JointState:
+    """Position, speed and time of one joint, and what drives it."""
+
+    q: Array
+    v: Array
+    t: Array
+    drive: Drive | None = None
+
+
+@dataclass(frozen=True)
+class BodyState:
+    """World-frame velocity of a body's centre of mass (..., 3), angular velocity (..., 3), time, and its geoms.
+
+    `shapes`: mjtGeom of each geom; `sizes` (..., geoms, 3).
+    """
+
+    velocity: Array
+    t: Array
+    spin: Array = 0.0
+    shapes: tuple[int, ...] = ()
+    sizes: Array = 0.0

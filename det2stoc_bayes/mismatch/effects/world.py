@@ -1,0 +1,68 @@
+"""Effects on everything: gravity and wind."""
+
+from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, normal
+
+
+class GravityTilt(Effect):
+    """Gravity leans towards + of an axis: the ground is not level."""
+
+    name, kind, law_text, noun = "gravity_tilt", "world", "g leans by toward_x, toward_y", "A tilt"
+    law = r"\mathbf g = R_x(\beta)\,R_y(\alpha)\,\mathbf g_0"
+    parameters = (EffectParameter("toward_x", "rad"), EffectParameter("toward_y", "rad"))
+    changes = ("opt.gravity",)
+    complexity = 2
+
+    def priors(self, typical):
+        """A few degrees."""
+        return {"toward_x": normal(0.05), "toward_y": normal(0.05)}
+
+    def trials(self, typical):
+        """One column an angle."""
+        return [Trial(({"toward_x": 5e-4, "toward_y": 0.0}, {"toward_x": 0.0, "toward_y": 5e-4}))]
+
+    def combine(self, trial, coefficients, typical):
+        """The two angles add up, small as they are."""
+        return {"toward_x": 5e-4 * float(coefficients[0]), "toward_y": 5e-4 * float(coefficients[1])}
+
+    def fields(self, p, fields, at, xp):
+        """Gravity turned about y, then about x."""
+        g, a, b = fields["opt.gravity"], p["toward_x"], p["toward_y"]
+        x = g[..., 0] * xp.cos(a) - g[..., 2] * xp.sin(a)
+        z = g[..., 0] * xp.sin(a) + g[..., 2] * xp.cos(a)
+        y, z = g[..., 1] * xp.cos(b) - z * xp.sin(b), g[..., 1] * xp.sin(b) + z * xp.cos(b)
+        return {"opt.gravity": xp.stack([x, y, z], -1)}
+
+
+class GravityError(Effect):
+    """Gravity is not as strong as believed."""
+
+    name, kind, law_text, noun = "gravity_error", "world", "g_z + change", "A change of gravity"
+    law = r"g_z + \Delta"
+    parameters = (EffectParameter("change", "m/s2"),)
+    changes = ("opt.gravity",)
+
+    def priors(self, typical):
+        """A tenth of what is believed."""
+        return {"change": normal(0.1 * max(typical.force, 1.0))}
+
+    def fields(self, p, fields, at, xp):
+        """Added to gravity's z."""
+        zero = 0.0 * p["change"]
+        return {"opt.gravity": fields["opt.gravity"] + xp.stack([zero, zero, p["change"]], -1)}
+
+
+class SteadyWind(Effect):
+    """The air moves."""
+
+    name, kind, law_text, noun = "steady_wind", "world", "wind + velocity", "A steady wind"
+    law, needs = r"\mathbf w + \mathbf v", frozenset({"fluid"})
+    parameters = (EffectParameter("velocity", "m/s", size=3),)
+    changes = ("opt.wind",)
+
+    def priors(self, typical):
+        """As fast as the wind or the bodies are."""
+        return {"velocity": normal(typical.speed)}
+
+    def fields(self, p, fields, at, xp):
+        """Added to the wind."""
+        return {"opt.wind": fields["opt.wind"] + p["velocity"]}

@@ -1,0 +1,65 @@
+"""Every effect of the catalogue in every form, with values that show on an arm of two joints in moving air."""
+
+from dataclasses import replace
+
+import mujoco
+from conftest import state_columns
+
+from det2stoc_bayes.engines import elements
+from det2stoc_bayes.mismatch.effects import CATALOGUE, Effect, PlacedEffect, Typical
+
+AIR = '<option timestep="0.002" integrator="{}" gravity="0 0 -9.81" density="40" wind="1.5 0.4 -0.7"/>'
+VALUES: dict[str, dict] = {
+    "ViscousDamping": {"coefficient": 0.3},
+    "CoulombFriction": {"force": 0.2},
+    "StribeckFriction": {"coulomb": 0.15, "static": 0.4, "velocity": 0.6},
+    "QuadraticDamping": {"coefficient": 0.4},
+    "LoadDependentFriction": {"coefficient": 0.12},
+    "JointSpring": {"stiffness": 2.0, "rest": 0.3},
+    "CubicStiffness": {"stiffness": 30.0},
+    "ConstantForce": {"force": 0.7},
+    "Armature": {"inertia": 0.05},
+    "CoggingTorque": {"amplitude": 0.3, "cycles": 9.0, "phase": 0.4},
+    "PeriodicForce": {"amplitude": 0.4, "frequency": 2.5, "phase": 0.4},
+    "LinearDrag": {"coefficient": 0.6},
+    "QuadraticDrag": {"coefficient": 0.6},
+    "SizedDrag": {"drag_coefficient": 20.0},
+    "MagnusLift": {"coefficient": 1.5},
+    "PayloadMass": {"mass": 0.2, "offset": [0.2, 0.05, -0.1]},
+    "MassError": {"mass": -0.15},
+    "ComOffset": {"offset": [0.03, 0.01, -0.02]},
+    "InertiaError": {"ratio": [1.42, 1.4, 1.2]},
+    "GravityTilt": {"toward_x": 0.1, "toward_y": -0.05},
+    "GravityError": {"change": -0.5},
+    "SteadyWind": {"velocity": [2.0, -0.5, 1.0]},
+    "PeriodicWind": {"amplitude": 0.8, "frequency": 1.5, "phase": 0.7},
+    "ActuatorDelay": {"delay": 0.0333},
+    "ActuatorLag": {"time_constant": 0.0333},
+    "ActuatorGain": {"ratio": 1.7},
+    "ActuatorBias": {"offset": 0.2},
+    "ActuatorDeadZone": {"width": 0.15},
+    "ActuatorSaturation": {"limit": 0.35},
+    "ActuatorGainDrift": {"rate": 0.6},
+    "TorqueSpeedLimit": {"stall": 0.9, "no_load_speed": 3.0},
+    "SensorBias": {"offset": 0.1},
+    "SensorScale": {"ratio": 1.1},
+    "SensorDelay": {"delay": 0.0253},
+    "SensorDrift": {"rate": 0.3},
+    "ClockSkew": {"ratio": 1.03},
+}
+FORMS: dict[str, Effect] = {type(f).__name__: f for e in CATALOGUE.values() for f in e.forms() if e.kind != "simulator"}
+
+
+def place_form(model: mujoco.MjModel, form: str, typical: Typical | None = None) -> PlacedEffect:
+    """The form on the last element of the model that it fits."""
+    effect, every = FORMS[form], frozenset(range(model.nbody))
+    found = {
+        "joint": lambda: elements.joint_elements(model),
+        "body": lambda: elements.body_elements(model, every if "sized" in effect.needs else frozenset()),
+        "actuator": lambda: elements.actuator_elements(model),
+        "world": lambda: elements.world_elements(model),
+        "sensor": lambda: elements.sensor_elements(model, tuple(state_columns(model))),
+    }[effect.kind]()
+    if effect.needs == {"loose"}:  # whatever MuJoCo took for granted when this test's model was compiled
+        found = [replace(e, traits=e.traits | {"loose"}) for e in found]
+    return PlacedEffect(effect, [e for e in found if effect.fits(e)][-1], Typical() if typical is None else typical)
