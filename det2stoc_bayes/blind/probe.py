@@ -30,9 +30,7 @@ class Probe:
     def with_effects(self, *effects: Effect) -> list[np.ndarray]:
         """What is recorded with effects, without noise."""
         runs = zip(self.starts, self.inputs, strict=True)
-        return [
-            simulate_reality(self.system, self.psi, effects, s, self.times, u, self.finer).columns for s, u in runs
-        ]
+        return [simulate_reality(self.system, self.psi, effects, s, self.times, u, self.finer).columns for s, u in runs]
 
     def first(self) -> "Probe":
         """The first experiment alone."""
@@ -82,7 +80,9 @@ def draw_probe(rng: np.random.Generator, system: System, psi: dict[str, float], 
     """Experiments with nothing concealed."""
     runs = [experiment(rng, system, psi, (), times) for _ in range(PROBES)]
     scene = typical(system, psi, times, [r for *_, r in runs], [u for _, u, _ in runs])
-    return Probe(system, psi, times, [s for s, *_ in runs], [u for _, u, _ in runs], [r.columns for *_, r in runs], scene)
+    return Probe(
+        system, psi, times, [s for s, *_ in runs], [u for _, u, _ in runs], [r.columns for *_, r in runs], scene
+    )
 
 
 def typical(

@@ -1,7 +1,7 @@
 """How large a concealed effect is made: by what psi and the initial states cannot absorb of it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ SMALLEST, LARGEST = 3.0, 30.0  # RMS in noise sds that remains of an effect afte
 WITHIN = 0.1  # of the wanted size, relatively
 KEPT = 1.5  # RMS in noise sds that the other effect of a pair must leave of each
 COARSE = (0.0025, 0.005, 0.01, 0.015, 0.02)  # believed timesteps when the integration is what is wrong
-FLAT = 0.3  # noise sds: a component of a vector that changes less cannot be asked for
+FLAT = 0.3  # noise sds: a component of a vector that changes less is not asked for
 
 
 @dataclass(frozen=True)
@@ -124,17 +124,16 @@ def both_kept(probe: Probe, first: Found, second: Found) -> bool:
 
 
 def judged_components(probe: Probe, effect: Effect) -> dict[str, list[int]]:
-    """For each vector parameter the components that the recordings depend on."""
-    result = {}
+    """For each parameter that has directions the components (a scalar has 0) that the recordings depend on."""
+    result, reference, noise = {}, probe.with_effects(effect), probe.system.noise()
     for key, value in effect.parameters.items():
-        if not isinstance(value, list):
+        if not isinstance(value, list) and key not in LAWS[effect.name].axes:
             continue
         result[key] = []
-        reference = probe.with_effects(effect)
-        for i in range(len(value)):
-            without = [v if j != i else 1.0 * (key == "ratio") for j, v in enumerate(value)]
-            step = Effect(effect.name, effect.kind, effect.element, {**effect.parameters, key: without})
-            noise, other = probe.system.noise(), probe.with_effects(step)
+        for i in range(len(value) if isinstance(value, list) else 1):
+            neutral = 1.0 if key == "ratio" else 0.0
+            without = [v if j != i else neutral for j, v in enumerate(value)] if isinstance(value, list) else neutral
+            other = probe.with_effects(replace(effect, parameters={**effect.parameters, key: without}))
             change = [np.mean(((a - b) / noise) ** 2) for a, b in zip(reference, other, strict=True)]
             if np.sqrt(np.mean(change)) > FLAT:
                 result[key].append(i)

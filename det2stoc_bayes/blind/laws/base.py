@@ -68,6 +68,7 @@ class Law:
     value: Callable[[float, Parameters], Parameters]
     draw: Callable[[np.random.Generator, Scene, str], Parameters] = nothing
     signed: bool = False
+    axes: tuple[str, ...] = ()  # scalar parameters that are the components of one vector
     fits: Callable[[Scene, str], bool] = everywhere
     prepare: Callable[[mujoco.MjModel, str, Parameters], None] | None = None
     push: Callable[[mujoco.MjModel, str, Parameters], Force] | None = None

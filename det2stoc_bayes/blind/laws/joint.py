@@ -137,10 +137,10 @@ JOINT_LAWS: dict[str, Law] = {
     "cubic_stiffness": _law(
         {"stiffness": "N/m3|N m/rad3"}, _stiffness(3), push=_force(lambda p, q, v, t: -p["stiffness"] * q * q * q)
     ),
-    "constant_force": _law(
-        {"force": "N|N m"}, _typical_force, signed=True, push=_force(lambda p, q, v, t: p["force"])
+    "constant_force": _law({"force": "N|N m"}, _typical_force, signed=True, push=_force(lambda p, q, v, t: p["force"])),
+    "armature": _law(
+        {"inertia": "kg|kg m2"}, lambda scene, joint: 3.0 * scene.joint[joint]["inertia"], prepare=_reflected
     ),
-    "armature": _law({"inertia": "kg|kg m2"}, lambda scene, joint: 3.0 * scene.joint[joint]["inertia"], prepare=_reflected),
     "cogging_torque": _law(
         {"amplitude": "N|N m", "cycles": "1/m|1/rad", "phase": "rad"},
         _typical_force,

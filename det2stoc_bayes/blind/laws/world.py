@@ -42,6 +42,7 @@ WORLD_LAWS: dict[str, Law] = {
         lambda scene, element: 0.3,
         lambda m, drawn: {"toward_x": m * np.cos(drawn["heading"]), "toward_y": m * np.sin(drawn["heading"])},
         draw=lambda rng, scene, element: {"heading": rng.uniform(-np.pi, np.pi)},
+        axes=("toward_x", "toward_y"),
         prepare=_tilt,
     ),
     "gravity_error": Law(
