@@ -81,10 +81,9 @@ def _part(estimate: Any, index: int) -> tuple[float, float, float] | None:
 def _positive_amplitude(given: Json) -> Json:
     """A sin(x + phase) with A < 0 is -A sin(x + phase + pi)."""
     amplitude, phase = given.get("amplitude"), given.get("phase")
-    found = _part(amplitude, 0), _part(phase, 0)
-    if found[0] is None or found[1] is None or found[0][0] >= 0.0 or isinstance(amplitude["mean"], list):
+    first, second = _part(amplitude, 0), _part(phase, 0)
+    if first is None or second is None or first[0] >= 0.0:
         return given
-    (mean, low, high), (angle, first, last) = found
-    flipped = {**amplitude, "mean": -mean, "interval": [-high, -low]}
-    turned = {**phase, "mean": angle + math.pi, "interval": [first + math.pi, last + math.pi]}
+    flipped = {"mean": -first[0], "interval": [-first[2], -first[1]]}
+    turned = {"mean": second[0] + math.pi, "interval": [second[1] + math.pi, second[2] + math.pi]}
     return {**given, "amplitude": flipped, "phase": turned}

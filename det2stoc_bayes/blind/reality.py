@@ -90,7 +90,8 @@ def simulate_reality(
     for edge in np.unique(np.concatenate([*at, np.searchsorted(signals.edges, true - 1e-8)])):
         if np.isfinite(states[edge]).all():
             if world.model.nsensor:
-                world.evaluate(states[edge], signals.edges[edge], signals.at(edge, signals.edges[edge]))
+                t = float(signals.edges[edge])
+                world.evaluate(states[edge], t, signals.at(edge, t))
             values = read(states[edge], world.data)
             for c, where in enumerate(at):
                 columns[where == edge, c] = values[c]

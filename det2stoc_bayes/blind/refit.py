@@ -13,7 +13,7 @@ from det2stoc_bayes.blind.probe import Probe
 from det2stoc_bayes.blind.reality import shifted, simulate_believed, simulate_reality
 
 ITERATIONS = 10
-ENOUGH = 0.02  # an iteration that lowers the squares by a smaller share is the last
+ENOUGH = 0.05  # an iteration that lowers the squares by a smaller share is the last
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,28 @@ def refit(
     return Refit(float(np.sqrt(np.mean(best**2))), tuple(problem.effects(z)))
 
 
+def absorbable(probe: Probe) -> np.ndarray:
+    """Orthonormal directions, in whitened recordings, that psi and the initial states take up to first order."""
+    alone = _Problem(probe, probe.plain, (), None)
+    return np.linalg.qr(alone.jacobian(alone.initial))[0]
+
+
+def beside(basis: np.ndarray, probe: Probe, changed: Sequence[np.ndarray]) -> float:
+    """RMS in noise sds that remains of a change to first order; infinite where a simulation diverged."""
+    noise = probe.system.noise()
+    change = np.concatenate([((c - p) / noise).ravel() for c, p in zip(changed, probe.plain, strict=True)])
+    if not np.isfinite(change).all():
+        return np.inf
+    return float(np.sqrt(np.mean((change - basis @ (basis.T @ change)) ** 2)))
+
+
 def linear_share(probe: Probe, truths: Sequence[np.ndarray], rivals: Sequence[Effect]) -> list[float]:
     """For each rival the share of RMS that remains beside psi and the initial states alone, to first order.
 
     Small effects are assumed: it is for telling which rivals are worth a refit.
     """
+    basis = absorbable(probe)
     alone = _Problem(probe, truths, (), None)
-    basis = np.linalg.qr(alone.jacobian(alone.initial) + 0.0)[0]
     target = alone.residual(alone.initial)
     target = target - basis @ (basis.T @ target)
     result = []

@@ -1,18 +1,18 @@
 """How large a concealed effect is made: by what psi and the initial states cannot absorb of it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from det2stoc_bayes.blind.laws import INTEGRATION, LAWS, Effect
-from det2stoc_bayes.blind.laws.base import Parameters
 from det2stoc_bayes.blind.probe import Probe
 from det2stoc_bayes.blind.reality import simulate_believed
-from det2stoc_bayes.blind.refit import refit
+from det2stoc_bayes.blind.refit import absorbable, beside, refit
 
 SMALLEST, LARGEST = 3.0, 30.0  # RMS in noise sds that remains of an effect after a refit, drawn log-uniformly
 WITHIN = 0.1  # of the wanted size, relatively
+REFITS, TRIALS = 3, 10  # at most, for one size
 KEPT = 1.5  # RMS in noise sds that the other effect of a pair must leave of each
 COARSE = (0.0025, 0.005, 0.01, 0.015, 0.02)  # believed timesteps when the integration is what is wrong
 FLAT = 0.3  # noise sds: a component of a vector that changes less is not asked for
@@ -49,46 +49,48 @@ def find(
     law = LAWS[name]
     drawn = law.draw(rng, probe.scene, element)
     sign = float(rng.choice((-1.0, 1.0))) if law.signed else 1.0
-    best: Found | None = None
-    for effect, judge in _search(probe, pair, sign, drawn, wanted):
+    largest = law.largest(probe.scene, element)
+    basis, goal, best = absorbable(probe), wanted, None
+
+    def trial(size: float) -> tuple[Effect, list[np.ndarray], float]:
+        effect = Effect(name, law.kind, element, law.parameters(sign * size, drawn))
         changed = probe.with_effects(effect)
-        change = probe.change(changed)
-        # What remains is never more than the change itself: below the wanted size no refit is needed.
-        size = refit(probe, changed).left if wanted < change < np.inf else change
-        judge.append(size)
-        if SMALLEST <= size <= LARGEST and change >= wanted:
-            found = Found(effect, size, change)
-            if best is None or abs(np.log(size / wanted)) < abs(np.log(best.size / wanted)):
-                best = found
-            if abs(size / wanted - 1.0) < WITHIN:
-                return found
+        return effect, changed, beside(basis, probe, changed)
+
+    for _ in range(REFITS):
+        tuned = _tune(trial, largest, goal)
+        if tuned is None:
+            break
+        effect, changed = tuned
+        size = refit(probe, changed).left
+        found = Found(effect, size, probe.change(changed))
+        if SMALLEST <= size <= LARGEST and (best is None or _off(found, wanted) < _off(best, wanted)):
+            best = found
+        if abs(size / wanted - 1.0) < WITHIN:
+            return found
+        goal *= float(np.clip(wanted / max(size, 1e-6), 0.2, 5.0))
     return None if fixed else best
 
 
-def _search(
-    probe: Probe, pair: tuple[str, str], sign: float, drawn: Parameters, wanted: float, tries: int = 10
-) -> Iterator[tuple[Effect, list[float]]]:
-    """Effects to try; the caller answers each with what remained, in noise sds."""
-    name, element = pair
-    law = LAWS[name]
-    largest = law.largest(probe.scene, element)
-    magnitude, low, high, tried_largest = 0.1 * largest, 0.0, largest, False
-    for _ in range(tries):
-        judge: list[float] = []
-        yield Effect(name, law.kind, element, law.parameters(sign * magnitude, drawn)), judge
-        reached = judge[0]
-        if reached < wanted:
-            if magnitude >= largest:
-                return
-            low = magnitude
-        else:
-            high, tried_largest = magnitude, True
-        # What remains is nearly proportional to the size.
-        magnitude *= float(np.clip(wanted / max(reached, 1e-6), 0.02, 20.0))
-        if magnitude >= high:
-            magnitude = 0.5 * (low + high) if tried_largest else largest
-        elif magnitude <= low:
-            magnitude = 0.5 * (low + high)
+def _off(found: Found, wanted: float) -> float:
+    return abs(np.log(found.size / wanted))
+
+
+def _tune(
+    trial: Callable[[float], tuple[Effect, list[np.ndarray], float]], largest: float, goal: float
+) -> tuple[Effect, list[np.ndarray]] | None:
+    """The effect that leaves `goal` noise sds to first order, or the largest; None where that is next to nothing."""
+    magnitude, low, high = 0.1 * largest, 0.0, np.inf
+    for _ in range(TRIALS):
+        effect, changed, reached = trial(magnitude)
+        if abs(reached / goal - 1.0) < WITHIN or (reached < goal and magnitude >= largest):
+            return (effect, changed) if reached >= 0.5 * SMALLEST else None
+        low, high = (magnitude, high) if reached < goal else (low, magnitude)
+        magnitude *= float(np.clip(goal / max(reached, 1e-6), 0.02, 20.0))  # the change is nearly proportional
+        if not low < magnitude < high:
+            magnitude = 0.5 * (low + min(high, largest)) if high < np.inf else largest
+        magnitude = min(magnitude, largest)
+    return None
 
 
 def _coarse(probe: Probe, wanted: float) -> Found | None:
