@@ -28,7 +28,7 @@ class _World:
     """A model with effects: its rate of change, and what its sensors read."""
 
     def __init__(self, system: System, psi: dict[str, float], effects: Sequence[Effect]) -> None:
-        self.model = model = system.compile(psi)
+        self.model = model = system.compile(psi, general=True)
         laws = [(LAWS[e.name], e) for e in effects]
         for law, e in laws:
             if law.prepare is not None:

@@ -92,7 +92,8 @@ def _draw_cogging(rng: np.random.Generator, scene: Scene, joint: str) -> Paramet
 
 def draw_oscillation(rng: np.random.Generator, scene: Scene, element: str) -> Parameters:
     """A frequency that a recording holds more than one period of, and that the sampling resolves."""
-    low, high = 1.5 / scene.duration, min(5.0, 0.1 / scene.sampling)
+    high = min(5.0, 0.1 / scene.sampling)
+    low = min(1.5 / scene.duration, 0.5 * high)
     return {"frequency": np.exp(rng.uniform(np.log(low), np.log(high))), "phase": rng.uniform(-np.pi, np.pi)}
 
 

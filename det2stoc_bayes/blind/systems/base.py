@@ -136,10 +136,19 @@ class System:
         return f"{header}{self.body_xml}{sensors}</mujoco>\n"
 
     def compile(
-        self, psi: dict[str, float], timestep: float | None = None, integrator: str | None = None
+        self,
+        psi: dict[str, float],
+        timestep: float | None = None,
+        integrator: str | None = None,
+        *,
+        general: bool = False,
     ) -> mujoco.MjModel:
-        """The compiled model at these parameters; a key with slashes is a field of the model."""
-        model = copy(_compiled(self.xml(timestep, integrator)))
+        """The compiled model at these parameters; a key with slashes is a field of the model.
+
+        `general`: centres of mass and inertias may be moved afterwards, which MuJoCo forbids for simple bodies.
+        """
+        xml = self.xml(timestep, integrator)
+        model = copy(_compiled(xml.replace("<body name", '<body simple="false" name') if general else xml))
         for entry in self.psi:
             if entry.name in psi:
                 entry.write(model, psi[entry.name])
