@@ -60,7 +60,8 @@ def score(answer: Json, diagnosis: Json) -> CaseScore:
     if not answer["effects"]:
         silent = verdict == "no_mismatch" and not claims
         said = "no_mismatch" if silent else labels(claims, verdict)
-        return CaseScore("nothing", said, silent, silent, not silent, (), covered, narrow)
+        alarm = verdict in ("mismatch", "inconclusive")
+        return CaseScore("nothing", said, silent, silent, alarm, (), covered, narrow)
     claimed = verdict == "mismatch"
     pairing = _pairing(answer["effects"], claims)
     effects = tuple(
