@@ -80,7 +80,7 @@ def make_case(
         setting = choose(rng, options[rng.integers(len(options))], variants)
         psi = setting.system.draw_psi(rng)
         times = float(rng.choice(setting.system.sampling)) * np.arange(num_samples)
-        probe = draw_probe(rng, setting.system, psi, times)
+        probe = draw_probe(rng, setting.system, psi, times, tuple(setting.varying))
         found = _draw(rng, probe, wanted, size)
         if found is not None:
             files, varied = record(rng, setting, probe, found, num_recordings)

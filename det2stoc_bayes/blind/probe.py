@@ -25,6 +25,7 @@ class Probe:
     inputs: list[np.ndarray]
     plain: list[np.ndarray]
     scene: Scene
+    varying: tuple[str, ...] = ()  # psi that a refit may set for each experiment
     finer: int = 1  # reality's steps in one believed step
 
     def with_effects(self, *effects: Effect) -> list[np.ndarray]:
@@ -76,13 +77,18 @@ def experiment(
     raise ValueError(f"{system.name}: no recording stays within reach")
 
 
-def draw_probe(rng: np.random.Generator, system: System, psi: dict[str, float], times: np.ndarray) -> Probe:
+def draw_probe(
+    rng: np.random.Generator,
+    system: System,
+    psi: dict[str, float],
+    times: np.ndarray,
+    varying: Sequence[str] = (),
+) -> Probe:
     """Experiments with nothing concealed."""
     runs = [experiment(rng, system, psi, (), times) for _ in range(PROBES)]
     scene = typical(system, psi, times, [r for *_, r in runs], [u for _, u, _ in runs])
-    return Probe(
-        system, psi, times, [s for s, *_ in runs], [u for _, u, _ in runs], [r.columns for *_, r in runs], scene
-    )
+    starts, inputs, recorded = (list(part) for part in zip(*runs, strict=True))
+    return Probe(system, psi, times, starts, inputs, [r.columns for r in recorded], scene, tuple(varying))
 
 
 def typical(

@@ -1,6 +1,7 @@
 """How much of what is recorded the believed model can absorb: a least-squares refit.
 
-Free are psi, the initial states and, where a rival explanation is given, the parameters of its effects.
+Free are psi (one that varies, for each recording), the initial states and, where a rival explanation is given, the
+parameters of its effects.
 """
 
 from collections.abc import Sequence
@@ -94,7 +95,8 @@ def linear_share(probe: Probe, truths: Sequence[np.ndarray], rivals: Sequence[Ef
 
 
 class _Problem:
-    """The unknowns z: psi in tenths of its value, states in small units, then the rivals' parameters as they are."""
+    """The unknowns z: psi in tenths of its value, then for each recording its state in small units and its own
+    change of the psi that vary, then the rivals' parameters as they are."""
 
     def __init__(self, probe: Probe, truths, rivals: Sequence[Effect], believed: tuple[float, str] | None) -> None:
         self.probe, self.truths, self.rivals, self.believed = probe, truths, list(rivals), believed
@@ -103,7 +105,9 @@ class _Problem:
         center = np.array([psi[entry.name] for entry in system.psi])
         self.low, self.high = ((np.array([e.support()[s] for e in system.psi]) - center) / self.scales for s in (0, 1))
         self.model = system.compile(psi)
+        self.varying = [i for i, entry in enumerate(system.psi) if entry.name in probe.varying]
         self.num_psi, self.num_state = len(system.psi), 2 * self.model.nv
+        self.num_own = self.num_state + len(self.varying)
         self.state_scale = np.repeat([1e-3, 1e-2], self.model.nv)
         self.places = [
             (e, key, i)
@@ -112,8 +116,8 @@ class _Problem:
             for i in (range(len(value)) if isinstance(value, list) else (None,))
         ]
         first = [_entry(self.rivals[e].parameters[key], i) for e, key, i in self.places]
-        states = np.zeros(len(probe.starts) * self.num_state)
-        self.initial = np.concatenate((np.zeros(self.num_psi), states, first))
+        own = np.zeros(len(probe.starts) * self.num_own)
+        self.initial = np.concatenate((np.zeros(self.num_psi), own, first))
 
     def effects(self, z: np.ndarray) -> list[Effect]:
         """The rivals at their parameters in z; a size that has no sign stays positive."""
@@ -123,7 +127,8 @@ class _Problem:
             if i is not None:
                 given[e][key][i] = float(value)
             else:
-                given[e][key] = float(max(value, 1e-9) if not law.signed and key == next(iter(law.units)) else value)
+                positive = not law.signed and not law.axes and key == next(iter(law.units))
+                given[e][key] = float(max(value, 1e-9) if positive else value)
         return [replace(e, parameters=p) for e, p in zip(self.rivals, given, strict=True)]
 
     def clip(self, z: np.ndarray) -> np.ndarray:
@@ -139,9 +144,9 @@ class _Problem:
         result = np.zeros((len(self.truths) * size, z.size))
         for r in range(len(self.truths)):
             rows, base = slice(r * size, (r + 1) * size), self._one(r, z, False)
-            states = range(self.num_psi + r * self.num_state, self.num_psi + (r + 1) * self.num_state)
-            for column in [*range(self.num_psi), *states]:
-                step = 1e-4 if column < self.num_psi else 1e-2
+            at = self.num_psi + r * self.num_own
+            for column in [*range(self.num_psi), *range(at, at + self.num_own)]:
+                step = 1e-2 if at <= column < at + self.num_state else 1e-4
                 result[rows, column] = (self._one(r, _moved(z, column, step), False) - base) / step
         if self.rivals:
             result[:, z.size - len(self.places) :] = self.sensitivities(z)
@@ -158,9 +163,12 @@ class _Problem:
 
     def _one(self, r: int, z: np.ndarray, with_rivals: bool) -> np.ndarray:
         probe, system = self.probe, self.probe.system
-        psi = {e.name: probe.psi[e.name] + self.scales[i] * z[i] for i, e in enumerate(system.psi)}
-        at = self.num_psi + r * self.num_state
+        at = self.num_psi + r * self.num_own
         start = shifted(self.model, probe.starts[r], self.state_scale * z[at : at + self.num_state])
+        change = z[: self.num_psi].copy()
+        change[self.varying] += z[at + self.num_state : at + self.num_own]
+        change = np.clip(change, self.low, self.high)
+        psi = {e.name: probe.psi[e.name] + self.scales[i] * change[i] for i, e in enumerate(system.psi)}
         if with_rivals:
             run = simulate_reality(system, psi, self.effects(z), start, probe.times, probe.inputs[r], probe.finer)
             columns = run.columns

@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -12,7 +13,7 @@ from det2stoc_bayes.blind.conceal import main, make_case
 from det2stoc_bayes.blind.equivalents import accepted
 from det2stoc_bayes.blind.laws import LAWS, Effect
 from det2stoc_bayes.blind.probe import draw_probe
-from det2stoc_bayes.blind.reality import PREROLL
+from det2stoc_bayes.blind.reality import PREROLL, shifted, simulate_reality
 from det2stoc_bayes.blind.refit import refit
 from det2stoc_bayes.blind.sizing import KEPT, both_kept, clash, find
 from det2stoc_bayes.blind.systems import SYSTEMS
@@ -89,6 +90,17 @@ def test_a_size_is_what_a_refit_leaves():
     assert refit(probe, probe.with_effects(found.effect), [start]).left < 0.02
 
 
+def test_a_psi_that_varies_absorbs_what_differs_by_recording():
+    probe, system = probe_of("pendulum"), SYSTEMS["pendulum"]
+    masses = [probe.psi["rod_mass"] * factor for factor in (0.95, 1.0, 1.06)]
+    truths = [
+        simulate_reality(system, {**probe.psi, "rod_mass": mass}, (), start, probe.times, inputs, 1).columns
+        for mass, start, inputs in zip(masses, probe.starts, probe.inputs, strict=True)
+    ]
+    assert refit(probe, truths).left > 1.0
+    assert refit(replace(probe, varying=("rod_mass",)), truths).left < 1e-2
+
+
 def test_what_is_beyond_its_range_or_psis_own_is_not_concealed():
     probe, rng = probe_of("slider"), np.random.default_rng(2)
     for place in (("viscous_damping", "rail"), ("armature", "rail"), ("mass_error", "carriage")):
@@ -133,9 +145,9 @@ def test_a_control_differs_from_its_believed_model_by_noise_alone(name):
     start = columns[0, : model.nq + model.nv].copy()
     if name == "ball":  # the quaternion's components have been given noise each
         start[3:7] /= np.linalg.norm(start[3:7])
-    for part in range(system.noise().size - model.nv):  # back over the preroll, roughly; the refit does the rest
-        start[part] -= 0.0 if name == "ball" and part > 2 else PREROLL * start[model.nq + part]
-    fitted = refit(type(probe)(system, probe.psi, times, [start], [inputs], probe.plain, probe.scene), [columns]).left
+    back = np.concatenate((-PREROLL * start[model.nq :], np.zeros(model.nv)))  # roughly; the refit does the rest
+    start = shifted(model, start, back)
+    fitted = refit(replace(probe, starts=[start], inputs=[inputs]), [columns]).left
     free = len(system.psi) + 2 * model.nv
     assert fitted == pytest.approx(np.sqrt(1.0 - free / columns.size), rel=0.06)
 
