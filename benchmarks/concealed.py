@@ -1,34 +1,32 @@
-"""Concealed studies diagnosed one after another by a process that sees a copy of the study alone, and scored.
+"""Concealed studies, each diagnosed by a process that sees a nameless copy of the study alone, and scored.
 
-Every run is appended to benchmarks/results/concealed.jsonl; the table of the last ones is printed.
+Every case is appended to benchmarks/results/concealed.jsonl; the same seed and commit goes on where it stopped.
+A summary of the run is printed as Markdown.
 """
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import asdict
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
-from rich.console import Console
+import numpy as np
 
 from det2stoc_bayes.blind.conceal import ConcealedCase, make_case
-from det2stoc_bayes.blind.score import CaseScore, score, score_table
+from det2stoc_bayes.blind.score import CaseScore, label, score
+from det2stoc_bayes.blind.summary import Row, markdown
+from det2stoc_bayes.blind.systems import SYSTEMS
+from det2stoc_bayes.blind.variants import possible
 
 LOG = Path(__file__).parent / "results" / "concealed.jsonl"
-
-
-def diagnosed(case: ConcealedCase) -> tuple[dict, float]:
-    """diagnosis.json of a nameless copy of a case's study, and the seconds that it took."""
-    with tempfile.TemporaryDirectory() as folder:
-        study, out = Path(folder) / "study", Path(folder) / "out"
-        case.write(study)
-        began = time.perf_counter()
-        command = [sys.executable, "-m", "det2stoc_bayes", "diagnose", str(study), "--out", str(out)]
-        subprocess.run(command, check=True, capture_output=True, text=True)
-        return json.loads((out / "diagnosis.json").read_text("utf-8")), time.perf_counter() - began
+KINDS = ("effect", "pair", "control")
+MOST_VARIANTS = 2  # at once
 
 
 def revision() -> str:
@@ -36,46 +34,125 @@ def revision() -> str:
     return subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
 
 
-def one(seed: int, control: bool, commit: str) -> CaseScore:
-    """Make, diagnose, score and log one case."""
-    case = make_case(seed, control=control)
-    diagnosis, seconds = diagnosed(case)
-    result = score(case.answer, diagnosis)
-    row = {
+def draw_case(seed: str, kind: str, index: int) -> ConcealedCase:
+    """Case `index` of a kind; half of all have one or two variants. What cannot be concealed is drawn again."""
+    rng = np.random.default_rng([int(seed, 16), KINDS.index(kind), index])
+    while True:
+        system = list(SYSTEMS)[rng.integers(len(SYSTEMS))]
+        options = possible(SYSTEMS[system])
+        count = int(rng.integers(1, MOST_VARIANTS + 1)) if rng.uniform() < 0.5 else 0
+        variants = tuple(sorted(rng.choice(options, count, replace=False).tolist()))
+        number = int(rng.integers(2**31))
+        try:
+            return make_case(number, system=system, variants=variants, pair=kind == "pair", control=kind == "control")
+        except ValueError:
+            continue
+
+
+def diagnosed(case: ConcealedCase) -> tuple[dict[str, Any], float, float]:
+    """diagnosis.json of a nameless copy of a case's study, the seconds and the megabytes that it took."""
+    with tempfile.TemporaryDirectory() as folder:
+        study, out, said = Path(folder) / "study", Path(folder) / "out", Path(folder) / "said"
+        case.write(study)
+        began = time.perf_counter()
+        command = [sys.executable, "-m", "det2stoc_bayes", "diagnose", str(study), "--out", str(out)]
+        with said.open("w") as text:
+            child = subprocess.Popen(command, stdout=text, stderr=subprocess.STDOUT)
+            _, status, usage = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        seconds, megabytes = time.perf_counter() - began, usage.ru_maxrss / 1024.0
+        result = out / "diagnosis.json"
+        if child.returncode or not result.is_file():
+            diagnosis = {"verdict": f"failed ({child.returncode})", "error": said.read_text("utf-8")[-2000:]}
+            return diagnosis, seconds, megabytes
+        return json.loads(result.read_text("utf-8")), seconds, megabytes
+
+
+def one(seed: str, kind: str, index: int, commit: str) -> dict[str, Any]:
+    """Make, diagnose and score one case: its line in the log."""
+    case = draw_case(seed, kind, index)
+    diagnosis, seconds, megabytes = diagnosed(case)
+    kept = ("verdict", "effects", "candidates", "fit", "psi", "error")
+    return {
         "commit": commit,
         "seed": seed,
-        "control": control,
+        "kind": kind,
+        "index": index,
+        "case_seed": case.seed,
         "seconds": round(seconds, 1),
+        "peak_mb": round(megabytes, 1),
         "answer": case.answer,
-        "verdict": diagnosis["verdict"],
-        "effects": diagnosis["effects"],
-        "candidates": diagnosis["candidates"],
-        "fit": diagnosis["fit"],
-        "score": asdict(result),
+        "diagnosis": {key: diagnosis[key] for key in kept if key in diagnosis},
+        "said": score(case.answer, diagnosis).diagnosed,
     }
+
+
+def scored(line: Mapping[str, Any]) -> CaseScore:
+    """The score of a logged case, computed anew."""
+    return score(line["answer"], line["diagnosis"])
+
+
+def finished(seed: str, commit: str) -> dict[tuple[str, int], dict[str, Any]]:
+    """Logged cases of this seed and commit, by kind and index; a line that was cut off does not count."""
+    found: dict[tuple[str, int], dict[str, Any]] = {}
+    for text in LOG.read_text("utf-8").splitlines() if LOG.is_file() else ():
+        try:
+            line = json.loads(text)
+        except json.JSONDecodeError:
+            continue
+        if line.get("seed") == seed and line.get("commit") == commit and "kind" in line:
+            found[line["kind"], line["index"]] = line
+    return found
+
+
+def run(seed: str, counts: Mapping[str, int], commit: str, jobs: int) -> list[Row]:
+    """All cases that are not in the log yet; gives every case's row, in order."""
+    done = finished(seed, commit)
+    wanted = [(kind, index) for kind in KINDS for index in range(counts[kind])]
     LOG.parent.mkdir(exist_ok=True)
-    with LOG.open("a", encoding="utf-8") as log:
-        log.write(json.dumps(row) + "\n")
-    return result
+    with ThreadPoolExecutor(jobs) as pool:
+        waiting = {key: pool.submit(one, seed, *key, commit) for key in wanted if key not in done}
+        try:
+            for number, (key, future) in enumerate(waiting.items(), 1):
+                line = future.result()
+                done[key] = line
+                with LOG.open("a", encoding="utf-8") as log:
+                    log.write(json.dumps(line) + "\n")
+                truth = " + ".join(label(e) for e in line["answer"]["effects"]) or "nothing"
+                print(f"{number}/{len(waiting)} {truth} -> {line['said']} ({line['seconds']:.0f} s)", file=sys.stderr)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    lines = [done[key] for key in wanted]
+    return [(line["kind"], scored(line), line["seconds"], line["peak_mb"]) for line in lines]
 
 
-def main() -> None:
-    """Cases with an effect, then controls with none."""
+def main() -> int:
+    """Effects, pairs of effects, and controls with nothing concealed."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--seed", type=int, help="of the first case; default: first 8 hex digits of HEAD")
-    parser.add_argument("--cases", type=int, default=10)
+    parser.add_argument("--effects", type=int, default=10)
+    parser.add_argument("--pairs", type=int, default=3)
     parser.add_argument("--controls", type=int, default=5)
+    parser.add_argument("--seed", help="hexadecimal; default: the first 8 digits of HEAD")
+    parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
     a = parser.parse_args()
-    commit, console = revision(), Console()
-    first = int(commit[:8], 16) if a.seed is None else a.seed
-    scores, names = [], []
-    for k in range(a.cases + a.controls):
-        seed, control = first + k, k >= a.cases
-        scores.append(one(seed, control, commit))
-        names.append(str(seed))
-        console.print(f"{k + 1}/{a.cases + a.controls}: {scores[-1].truth} -> {scores[-1].diagnosed}")
-    console.print(score_table(scores, names))
+    commit = revision()
+    seed = a.seed or commit[:8]
+    try:
+        int(seed, 16)
+    except ValueError:
+        parser.error(f"--seed {seed!r}; allowed: hexadecimal digits")
+    if min(a.effects, a.pairs, a.controls) < 0 or a.jobs < 1:
+        parser.error("counts are not negative, and --jobs is at least 1")
+    counts = {"effect": a.effects, "pair": a.pairs, "control": a.controls}
+    try:
+        rows = run(seed, counts, commit, a.jobs)
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on from here", file=sys.stderr)
+        return 130
+    print(f"Seed {seed}, commit {commit[:7]}\n\n{markdown(rows)}")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -2,28 +2,33 @@
 
 import argparse
 import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from det2stoc_bayes.blind.equivalents import accepted
-from det2stoc_bayes.blind.laws import LAWS
+from det2stoc_bayes.blind.equivalents import accepted, entry
+from det2stoc_bayes.blind.laws import INTEGRATION, LAWS
+from det2stoc_bayes.blind.probe import Probe, draw_probe
+from det2stoc_bayes.blind.recordings import record
 from det2stoc_bayes.blind.sizing import (
     LARGEST,
     SMALLEST,
-    UNABSORBED,
     Found,
-    Probe,
-    draw_probe,
-    experiment,
+    both_kept,
+    clash,
+    combinations,
+    draw_size,
     find,
+    judged_components,
 )
-from det2stoc_bayes.blind.systems import SYSTEMS, System
-from det2stoc_bayes.blind.text import csv_text, study_text
+from det2stoc_bayes.blind.systems import SYSTEMS
+from det2stoc_bayes.blind.variants import VARIANTS, Setting, choose, possible
 
-HOLDOUTS = 3
+ATTEMPTS = 6  # draws of a system, psi and experiments
+DRAWS = 4  # of effects for each of them
 
 
 @dataclass(frozen=True)
@@ -43,120 +48,142 @@ class ConcealedCase:
         return Path(folder)
 
 
-def combinations(system: System, effect: str | None = None) -> list[tuple[str, str]]:
-    """(effect, element) pairs that this system may conceal: those that psi does not absorb."""
-    elements = {
-        "joint": system.joints,
-        "body": system.bodies,
-        "actuator": system.actuators,
-        "sensor": tuple(system.columns()),
-        "simulator": ("option",),
-    }
-    names = LAWS if effect is None else (effect,)
-    pairs = [(name, element) for name in names for element in elements[LAWS[name].kind]]
-    return [pair for pair in pairs if pair not in system.absorbed]
-
-
 def make_case(
     seed: int,
     *,
     system: str | None = None,
     effect: str | None = None,
+    second: str | None = None,
+    pair: bool = False,
     size: float | None = None,
     control: bool = False,
+    variants: tuple[str, ...] = (),
     num_recordings: int = 8,
     num_samples: int = 300,
 ) -> ConcealedCase:
     """A case drawn from the seed; what is given is kept. `size` is in noise sds; a control conceals nothing.
 
-    Raises ValueError for a system or effect that is not known, or that no draw makes visible beside psi.
+    `pair` conceals two effects, `second` names the other one. Raises ValueError for a name that is not known,
+    and where no draw gives an effect of 3 to 30 noise sds that psi, and the other effect, cannot absorb.
     """
-    rng = np.random.default_rng([seed, 20261])
-    chosen, name = _choose(rng, system, effect)
-    for _ in range(12):
-        psi = chosen.draw_psi(rng)
-        times = float(rng.choice(chosen.sampling)) * np.arange(num_samples)
-        probe = draw_probe(rng, chosen, psi, times)
-        if control:
-            return _record(seed, rng, probe, None, num_recordings)
-        pairs = combinations(chosen, name)
-        pair = pairs[rng.integers(len(pairs))]
-        wanted = size or float(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST))))
-        found = find(rng, probe, pair, wanted, fixed=size is not None)
-        if found is not None:
-            return _record(seed, rng, probe, found, num_recordings)
-    raise ValueError(f"{name} on {chosen.name}: no draw leaves {UNABSORBED} noise sds that psi cannot absorb")
-
-
-def _choose(rng: np.random.Generator, system: str | None, effect: str | None) -> tuple[System, str]:
-    for given, known in ((system, SYSTEMS), (effect, LAWS)):
+    for given, known in ((system, SYSTEMS), (effect, LAWS), (second, LAWS)):
         if given is not None and given not in known:
             raise ValueError(f"{given!r} is not known; there are {', '.join(known)}")
-    options = [
-        (one, name)
-        for one in ([SYSTEMS[system]] if system else SYSTEMS.values())
-        for name in ([effect] if effect else LAWS)
-        if combinations(one, name)
+    if INTEGRATION in (effect, second) and (pair or second):
+        raise ValueError(f"{INTEGRATION} is concealed alone")
+    if size is not None and not SMALLEST <= size <= LARGEST:
+        raise ValueError(f"size {size:g}; allowed: {SMALLEST:g} to {LARGEST:g} noise sds")
+    rng = np.random.default_rng([seed, 20261])
+    wanted = [] if control else [effect, second] if pair or second else [effect]
+    options = [SYSTEMS[system]] if system else [s for s in SYSTEMS.values() if set(variants) <= set(possible(s))]
+    for _ in range(ATTEMPTS):
+        setting = choose(rng, options[rng.integers(len(options))], variants)
+        psi = setting.system.draw_psi(rng)
+        times = float(rng.choice(setting.system.sampling)) * np.arange(num_samples)
+        probe = draw_probe(rng, setting.system, psi, times, tuple(setting.varying))
+        found = _draw(rng, probe, wanted, size)
+        if found is not None:
+            files, varied = record(rng, setting, probe, found, num_recordings)
+            samples = num_recordings * probe.plain[0].size
+            return ConcealedCase(seed, files, _answer(rng, setting, probe, found, samples) | varied)
+    names = " and ".join(name or "an effect" for name in wanted)
+    raise ValueError(
+        f"{names} on {system or 'any system'}: no draw within its physical range leaves {SMALLEST:g} noise sds that "
+        "psi cannot absorb"
+    )
+
+
+def _draw(rng: np.random.Generator, probe: Probe, wanted: list[str | None], size: float | None) -> list[Found] | None:
+    """One effect for each wanted name (None: any), such that none can be absorbed; None where no draw gives that."""
+    for _ in range(DRAWS):
+        found: list[Found] = []
+        for name in wanted:
+            pairs = [p for p in combinations(probe, name) if not any(clash(p, _place(f)) for f in found)]
+            if len(wanted) > 1:
+                pairs = [p for p in pairs if p[0] != INTEGRATION]
+            if not pairs:
+                return None
+            one = find(rng, probe, _pick(rng, pairs), size or draw_size(rng), fixed=size is not None)
+            if one is None:
+                break
+            found.append(one)
+        if len(found) == len(wanted) and (len(found) < 2 or both_kept(probe, *found)):
+            return found
+    return None
+
+
+def _pick(rng: np.random.Generator, pairs: list[tuple[str, str]]) -> tuple[str, str]:
+    """A law first, then its element, so that laws with many elements are not drawn more often."""
+    names = list(dict.fromkeys(name for name, _ in pairs))
+    name = names[rng.integers(len(names))]
+    mine = [p for p in pairs if p[0] == name]
+    return mine[rng.integers(len(mine))]
+
+
+def _place(found: Found) -> tuple[str, str]:
+    return found.effect.name, found.effect.element
+
+
+def _answer(
+    rng: np.random.Generator, setting: Setting, probe: Probe, found: list[Found], samples: int
+) -> dict[str, Any]:
+    """What is concealed, what else counts as right, and how large it is."""
+    effects = [
+        entry(f.effect)
+        | {
+            "accepted": [] if f.believed else accepted(rng, probe, f.effect, samples),
+            "judged": judged_components(probe, f.effect),
+            "size_in_noise_sds": f.size,
+            "change_in_noise_sds": f.change,
+        }
+        for f in found
     ]
-    if not options:
-        raise ValueError(f"on {system} psi absorbs {effect}")
-    return options[rng.integers(len(options))]
-
-
-def _record(
-    seed: int, rng: np.random.Generator, probe: Probe, found: Found | None, num_recordings: int
-) -> ConcealedCase:
-    """Record fresh experiments with the effect on, add noise, and write everything as text."""
-    system, psi, noise = probe.system, probe.psi, probe.system.noise()
-    effect = found.effect if found else None
-    step, integrator = (found and found.believed) or (None, None)
-    files = {"model.xml": system.xml(step, integrator), "study.toml": study_text(system)}
-    for folder, prefix, count in (("recordings", "rec", num_recordings), ("holdout", "hold", HOLDOUTS)):
-        for index in range(1, count + 1):
-            _, inputs, columns = experiment(rng, system, psi, effect, probe.times)
-            columns = columns + noise * rng.standard_normal(columns.shape)
-            text = csv_text(system, probe.times, columns, inputs)
-            files[f"{folder}/{prefix}_{index:02d}.csv"] = text
-    answer: dict[str, Any] = {
-        "verdict": "no_mismatch" if effect is None else "mismatch",
-        "system": system.name,
-        "effects": [],
-        "psi": psi,
-        "size_in_noise_sds": found.size if found else 0.0,
-        "unabsorbed_in_noise_sds": found.left if found else 0.0,
+    return {
+        "verdict": "mismatch" if found else "no_mismatch",
+        "system": setting.system.name,
+        "variants": list(setting.variants),
+        "effects": effects,
+        "psi": probe.psi,
     }
-    if effect is not None:
-        entry = {"name": effect.name, "element": {"kind": effect.kind, "name": effect.element}}
-        answer["effects"] = [{**entry, "parameters": effect.parameters, "accepted": accepted(system, psi, effect)}]
-    return ConcealedCase(seed, files, answer)
 
 
-def main(arguments: list[str] | None = None) -> None:
+def main(arguments: list[str] | None = None) -> int:
     """Write one concealed study; the answer is printed on request only."""
     parser = argparse.ArgumentParser(prog="det2stoc_bayes.blind.conceal", description=main.__doc__)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--system", choices=list(SYSTEMS))
     parser.add_argument("--effect", choices=list(LAWS))
-    parser.add_argument("--size", type=float, help="in noise sds")
+    parser.add_argument("--effect2", choices=list(LAWS), help="a second effect at once")
+    parser.add_argument("--pair", action="store_true", help="two effects at once")
+    parser.add_argument("--size", type=float, help="in noise sds that psi cannot absorb")
     parser.add_argument("--control", action="store_true", help="conceal nothing")
+    parser.add_argument("--variant", action="append", choices=list(VARIANTS), default=[], help="may be repeated")
     parser.add_argument("--recordings", type=int, default=8)
     parser.add_argument("--samples", type=int, default=300)
     parser.add_argument("--reveal", action="store_true", help="print the answer")
     a = parser.parse_args(arguments)
-    case = make_case(
-        a.seed,
-        system=a.system,
-        effect=a.effect,
-        size=a.size,
-        control=a.control,
-        num_recordings=a.recordings,
-        num_samples=a.samples,
-    )
+    try:
+        case = make_case(
+            a.seed,
+            system=a.system,
+            effect=a.effect,
+            second=a.effect2,
+            pair=a.pair,
+            size=a.size,
+            control=a.control,
+            variants=tuple(a.variant),
+            num_recordings=a.recordings,
+            num_samples=a.samples,
+        )
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
     case.write(a.out)
     if a.reveal:
         print(json.dumps(case.answer, indent=1))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

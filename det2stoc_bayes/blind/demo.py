@@ -16,6 +16,7 @@ from det2stoc_bayes.blind.conceal import ConcealedCase, make_case
 from det2stoc_bayes.blind.laws import LAWS
 from det2stoc_bayes.blind.score import score
 from det2stoc_bayes.blind.systems import SYSTEMS
+from det2stoc_bayes.blind.variants import VARIANTS
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -26,13 +27,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--system", choices=list(SYSTEMS))
     parser.add_argument("--effect", choices=list(LAWS))
     parser.add_argument("--control", action="store_true", help="conceal nothing")
+    parser.add_argument("--pair", action="store_true", help="conceal two effects")
+    parser.add_argument("--variant", action="append", choices=list(VARIANTS), default=[], help="may be repeated")
     a = parser.parse_args(arguments)
     console = Console()
     seed = int.from_bytes(os.urandom(4), "big") if a.seed is None else a.seed
     folder = a.out / f"demo-{seed}"
     study, diagnosis_folder = folder / "study", folder / "diagnosis"
     console.print(f"[bold]Seed {seed}[/bold]: concealing an effect in a study under {study} ...")
-    case = make_case(seed, system=a.system, effect=a.effect, control=a.control)
+    case = make_case(seed, system=a.system, effect=a.effect, pair=a.pair, control=a.control, variants=tuple(a.variant))
     case.write(study)
     console.print(f"The study has {len(case.study_files)} files; the answer is in this process's memory only.\n")
     command = [sys.executable, "-m", "det2stoc_bayes", "diagnose", str(study), "--out", str(diagnosis_folder)]
@@ -66,7 +69,7 @@ def reveal(case: ConcealedCase, diagnosis: Mapping[str, Any], console: Console) 
         table.add_row("on", _element(truth), _element(given))
         for key in {**(truth or {}).get("parameters", {}), **(given or {}).get("parameters", {})}:
             value = truth["parameters"].get(key, "") if truth else ""
-            shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+            shown = f"{value:.4g}" if isinstance(value, float) else str(value).replace("[", r"\[")
             estimate = given["parameters"].get(key) if given else None
             table.add_row(f"  {key}", shown, _estimate(estimate))
         for name, entry in (("or equally", truth and truth["accepted"]), ("or equally", None)):
@@ -78,10 +81,11 @@ def reveal(case: ConcealedCase, diagnosis: Mapping[str, Any], console: Console) 
         after = (diagnosis.get("psi") or {}).get(name, {}).get("after")
         table.add_row(f"psi {name}", f"{value:.4g}", _mean_sd(after))
     console.print(table)
-    console.print(
-        f"The effect moved the recordings by {answer['size_in_noise_sds']:.1f} noise sds, of which psi "
-        f"and the initial states can hide all but {answer['unabsorbed_in_noise_sds']:.1f}."
-    )
+    for effect in truths:
+        console.print(
+            f"{effect['name']} moved the recordings by {effect['change_in_noise_sds']:.1f} noise sds, of which psi "
+            f"and the initial states can hide all but {effect['size_in_noise_sds']:.1f}."
+        )
     outcome = score(answer, diagnosis)
     right = outcome.verdict and outcome.named
     console.print("[bold green]Right.[/bold green]" if right else "[bold red]Not right.[/bold red]")

@@ -1,6 +1,7 @@
 """Which other answers name the same physics: no recording of the study can tell them apart.
 
-Each is exact for these mechanisms, some only once psi is refitted ("mod psi").
+Candidates come from lists of laws that can imitate one another; whether they do, with psi and the initial states
+refitted, is judged by the concealing side's own refit. A few are exact by theory and have no law here.
 """
 
 from typing import Any
@@ -8,81 +9,107 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from det2stoc_bayes.blind.laws import Effect
-from det2stoc_bayes.blind.systems import System
+from det2stoc_bayes.blind.laws import LAWS, Effect, Scene
+from det2stoc_bayes.blind.laws.base import motors_of
+from det2stoc_bayes.blind.probe import Probe
+from det2stoc_bayes.blind.refit import linear_share, refit
 
 Accepted = dict[str, Any]
+NATS = 1.0  # of log likelihood over the whole study: what less than this tells apart is the same
+WORTH_A_REFIT = 0.3  # share of the RMS that may remain to first order
+IMITATORS = (
+    # steady pushes and where things hang
+    "constant_force actuator_bias sensor_bias gravity_tilt joint_spring com_offset payload_mass",
+    # weight, inertia, and the strength of motors
+    "armature inertia_error mass_error payload_mass com_offset actuator_gain gravity_error joint_spring",
+    # losses in proportion to speed, and its square
+    "viscous_damping linear_drag torque_speed_limit actuator_lag",
+    "quadratic_damping quadratic_drag linear_drag steady_wind",
+    "coulomb_friction stribeck_friction load_dependent_friction",
+    # when things happen
+    "actuator_delay actuator_lag sensor_delay clock_skew",
+    # what a motor can deliver
+    "actuator_saturation torque_speed_limit",
+    "actuator_gain actuator_gain_drift sensor_scale",
+    # over time, and flight
+    "periodic_force periodic_wind",
+    "magnus_lift steady_wind linear_drag quadratic_drag gravity_tilt gravity_error",
+)
 
 
-def _entry(name: str, kind: str, element: str, **parameters: object) -> Accepted:
-    return {"name": name, "element": {"kind": kind, "name": element}, "parameters": parameters}
+def entry(effect: Effect) -> Accepted:
+    """An effect as diagnosis.json writes one."""
+    element = {"kind": effect.kind, "name": effect.element}
+    return {"name": effect.name, "element": element, "parameters": effect.parameters}
 
 
-def lever(model: mujoco.MjModel, joint: str) -> float:
-    """Distance of a hinge's body's centre of mass from the hinge."""
-    index = model.joint(joint).id
-    body = model.jnt_bodyid[index]
-    return float(np.linalg.norm(model.body_ipos[body] - model.jnt_pos[index]))
-
-
-def accepted(system: System, psi: dict[str, float], effect: Effect) -> list[Accepted]:
-    """The answers that count as right beside the concealed effect itself."""
-    model, p = system.compile(psi), effect.parameters
-    if system.name == "slider" and (effect.name == "constant_force" or effect.element == "qpos/rail"):
-        return _sprung(model, effect)
-    result: list[Accepted] = []
-    root, root_body = system.joints[0], system.bodies[0]
-    slides = model.jnt_type[model.joint(root).id] == mujoco.mjtJoint.mjJNT_SLIDE
-    arm = 1.0 if slides else lever(model, root)
-    motor = _motor(model, effect.element) if effect.kind == "joint" else None
-    match effect.name:
-        case "viscous_damping" if effect.element == root:
-            c = p["coefficient"] / arm**2
-            result.append(_entry("linear_drag", "body", root_body, coefficient=c))
-        case "quadratic_damping" if effect.element == root:
-            c = p["coefficient"] / arm**3
-            result.append(_entry("quadratic_drag", "body", root_body, coefficient=c))
-        case "quadratic_drag" if effect.element == root_body:
-            c = p["coefficient"] * arm**3
-            result.append(_entry("quadratic_damping", "joint", root, coefficient=c))
-        case "constant_force" if motor is not None:
-            name, gain = motor
-            result.append(_entry("actuator_bias", "actuator", name, offset=p["force"] / gain))
-        case "armature" if effect.element == root:
-            added = {"mass": p["inertia"] / arm**2}
-            result.append(_entry("added_mass", "body", root_body, **added))
-            result.append(_entry("inertia_error", "body", root_body))
-        case "armature" if system.name == "cart_pole":
-            # the pole turns with its joint alone; payload_mass and com_offset come near, but are told apart
-            result.append(_entry("inertia_error", "body", "pole"))
-        case "sensor_bias" if effect.element == f"qpos/{root}" and not slides:
-            # hanging from a y hinge: an angle that reads b too much is gravity leaning to -x by b
-            result.append(_entry("gravity_tilt", "world", "world", toward_x=-p["offset"], toward_y=0.0))
-            if system.name == "pendulum":  # mod psi: the centre of mass beside the line that is read
-                result += [_entry(n, "body", root_body) for n in ("com_offset", "payload_mass")]
-        case "actuator_delay" if len(system.actuators) == 1:
-            result.append(_entry("sensor_delay", "sensor", "*", delay=p["delay"]))
+def accepted(rng: np.random.Generator, probe: Probe, effect: Effect, samples: int) -> list[Accepted]:
+    """The answers that count as right beside the concealed effect, in a study of so many samples of all columns."""
+    same_below = float(np.sqrt(2.0 * NATS / samples))
+    rivals = [_small(rng, probe.scene, *place) for place in imitators(probe.scene, effect)]
+    first = probe.first()
+    shares = linear_share(first, first.with_effects(effect), rivals)
+    truths = probe.with_effects(effect)
+    result = _by_theory(probe.system.compile(probe.psi), effect)
+    for rival, share in zip(rivals, shares, strict=True):
+        if share < WORTH_A_REFIT:
+            fitted = refit(probe, truths, [rival], enough=0.5 * same_below)
+            if fitted.left < same_below:
+                result.append(entry(fitted.rivals[0]))
     return result
 
 
-def _motor(model: mujoco.MjModel, joint: str) -> tuple[str, float] | None:
-    index = model.joint(joint).id
-    for actuator in range(model.nu):
-        if model.actuator_trnid[actuator, 0] == index:
-            return model.actuator(actuator).name, float(model.actuator_gainprm[actuator, 0])
-    return None
+def _small(rng: np.random.Generator, scene: Scene, name: str, element: str) -> Effect:
+    """A small effect to start a fit from."""
+    law = LAWS[name]
+    drawn = law.draw(rng, scene, element)
+    return Effect(name, law.kind, element, law.parameters(0.03 * law.largest(scene, element), drawn))
 
 
-def _sprung(model: mujoco.MjModel, effect: Effect) -> list[Accepted]:
-    """On one sprung horizontal slide a force, a tilt, a zero offset and a spring's rest are the same."""
-    stiffness, weight = float(model.jnt_stiffness[0]), 9.81 * float(model.body("carriage").mass[0])
-    p = effect.parameters
-    force = p["force"] if effect.name == "constant_force" else stiffness * p["offset"]
-    same = [
-        _entry("constant_force", "joint", "rail", force=force),
-        _entry("sensor_bias", "sensor", "qpos/rail", offset=force / stiffness),
-        _entry("actuator_bias", "actuator", "coil", offset=force),
-        _entry("gravity_tilt", "world", "world", toward_x=float(np.arcsin(force / weight)), toward_y=0.0),
-        _entry("joint_spring", "joint", "rail"),
+def imitators(scene: Scene, effect: Effect) -> list[tuple[str, str]]:
+    """(name, element) of laws that may imitate an effect: of one list, on elements next to one another."""
+    groups = [group.split() for group in IMITATORS if effect.name in group.split()]
+    names = list(dict.fromkeys(name for group in groups for name in group))
+    near = _near(scene, effect)
+    return [
+        (name, element)
+        for name in names
+        for element in scene.names(LAWS[name].kind)
+        if LAWS[name].fits(scene, element)
+        and (near is None or element in near or LAWS[name].kind == "world")
+        and (name, element) != (effect.name, effect.element)
     ]
-    return [entry for entry in same if entry["name"] != effect.name]
+
+
+def _near(scene: Scene, effect: Effect) -> set[str] | None:
+    """Names of a joint, its body, its motors and its columns, given any of them; None: everything is near."""
+    if effect.kind == "world":
+        return None
+    result: set[str] = {"time"}
+    for joint in scene.joint:
+        index = scene.model.joint(joint).id
+        motors = [scene.model.actuator(a).name for a in motors_of(scene.model, joint)]
+        body = scene.model.body(scene.model.jnt_bodyid[index]).name
+        unit = {joint, body, *motors, f"qpos/{joint}", f"qvel/{joint}"}
+        if effect.element in unit:
+            result |= unit
+    return result | {effect.element}
+
+
+def _by_theory(model: mujoco.MjModel, effect: Effect) -> list[Accepted]:
+    """Exact equivalents that have no law here."""
+    p = effect.parameters
+    if effect.name == "actuator_delay" and model.nu == 1:  # and so every sensor is late by as much
+        return [{"name": "sensor_delay", "element": {"kind": "sensor", "name": "*"}, "parameters": dict(p)}]
+    if effect.name != "armature":
+        return []
+    joint = model.joint(effect.element).id
+    body = model.jnt_bodyid[joint]
+    if model.body_parentid[body] != 0:
+        return []
+    slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+    arm = 1.0 if slides else float(np.linalg.norm(model.body_ipos[body] - model.jnt_pos[joint]))
+    if arm < 1e-6:
+        return []
+    element = {"kind": "body", "name": model.body(body).name}
+    return [{"name": "added_mass", "element": element, "parameters": {"mass": p["inertia"] / arm**2}}]

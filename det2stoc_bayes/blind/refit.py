@@ -1,70 +1,189 @@
-"""How much of a concealed effect psi and the initial states can absorb: a least-squares refit."""
+"""How much of what is recorded the believed model can absorb: a least-squares refit.
+
+Free are psi (one that varies, for each recording), the initial states and, where a rival explanation is given, the
+parameters of its effects.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from det2stoc_bayes.blind.reality import simulate_believed
-from det2stoc_bayes.blind.systems import System
+from det2stoc_bayes.blind.laws import LAWS, Effect
+from det2stoc_bayes.blind.probe import Probe
+from det2stoc_bayes.blind.reality import shifted, simulate_believed, simulate_reality
+
+ITERATIONS = 10
+ENOUGH = 0.05  # an iteration that lowers the squares by a smaller share is the last
 
 
-def unabsorbed(
-    system: System,
-    psi: dict[str, float],
-    starts: list[np.ndarray],
-    times: np.ndarray,
-    inputs: list[np.ndarray],
-    truths: list[np.ndarray],
+@dataclass(frozen=True)
+class Refit:
+    """RMS in noise sds that remains, and the rival effects at their best parameters."""
+
+    left: float
+    rivals: tuple[Effect, ...] = ()
+
+
+def refit(
+    probe: Probe,
+    truths: Sequence[np.ndarray],
+    rivals: Sequence[Effect] = (),
     believed: tuple[float, str] | None = None,
-) -> float:
-    """RMS in noise sds that remains between noise-free truths and the believed model after the refit."""
-    noise, psi_count, state = system.noise(), len(system.psi), starts[0].size
-    scales = np.array([0.1 * abs(psi[entry.name]) for entry in system.psi])
-    step, integrator = believed or (None, None)
+    enough: float = 0.0,
+) -> Refit:
+    """Fit the believed model, with `rivals` added to it, to noise-free recordings `truths` of a probe's experiments.
 
-    def values(x: np.ndarray) -> dict[str, float]:
-        return {entry.name: psi[entry.name] + scales[i] * x[i] for i, entry in enumerate(system.psi)}
-
-    def one(r: int, x: np.ndarray, shift: np.ndarray) -> np.ndarray:
-        model = system.compile(values(x), step, integrator)
-        columns = simulate_believed(model, starts[r] + noise * shift, times, inputs[r])
-        return np.nan_to_num(((columns - truths[r]) / noise).ravel(), nan=1e3, posinf=1e3, neginf=-1e3)
-
-    def split(z: np.ndarray, r: int) -> tuple[np.ndarray, np.ndarray]:
-        return z[:psi_count], z[psi_count + r * state : psi_count + (r + 1) * state]
-
-    def residual(z: np.ndarray) -> np.ndarray:
-        return np.concatenate([one(r, *split(z, r)) for r in range(len(starts))])
-
-    def jacobian(z: np.ndarray) -> np.ndarray:
-        size = truths[0].size
-        result = np.zeros((len(starts) * size, z.size))
-        for r in range(len(starts)):
-            x, shift = split(z, r)
-            rows, base = slice(r * size, (r + 1) * size), one(r, x, shift)
-            for i in range(psi_count):
-                result[rows, i] = (one(r, x + 1e-4 * np.eye(psi_count)[i], shift) - base) / 1e-4
-            for i in range(state):
-                column = psi_count + r * state + i
-                result[rows, column] = (one(r, x, shift + 1e-2 * np.eye(state)[i]) - base) / 1e-2
-        return result
-
-    low = np.array([(entry.support()[0] - psi[entry.name]) / scales[i] for i, entry in enumerate(system.psi)])
-    high = np.array([(entry.support()[1] - psi[entry.name]) / scales[i] for i, entry in enumerate(system.psi)])
-    z = np.zeros(psi_count + len(starts) * state)
-    best, damping = residual(z), 1e-6
-    for _ in range(6):  # Levenberg-Marquardt on the normal equations
-        slope = jacobian(z)
+    `believed` is another (timestep, integrator). Stops once less than `enough` remains.
+    """
+    problem = _Problem(probe, truths, rivals, believed)
+    z, damping = problem.initial, 1e-6
+    best = problem.residual(z)
+    for _ in range(ITERATIONS):  # Levenberg-Marquardt on the normal equations
+        slope = problem.jacobian(z)
         normal, gradient = slope.T @ slope, slope.T @ best
-        for _ in range(4):
-            trial = z - np.linalg.solve(normal + damping * np.diag(normal.diagonal() + 1e-12), gradient)
-            trial[:psi_count] = np.clip(trial[:psi_count], low, high)
-            reached = residual(trial)
+        scale = normal.diagonal() + 1e-9
+        for _ in range(5):
+            trial = problem.clip(z - np.linalg.solve(normal + damping * np.diag(scale), gradient))
+            reached = problem.residual(trial)
             if reached @ reached < best @ best:
                 break
             damping *= 30.0
         else:
             break
         gain = 1.0 - (reached @ reached) / (best @ best)
-        z, best, damping = trial, reached, max(damping / 30.0, 1e-9)
-        if gain < 0.02:
+        z, best, damping = trial, reached, max(damping / 30.0, 1e-10)
+        if gain < ENOUGH or np.sqrt(np.mean(best**2)) < enough:
             break
-    return float(np.sqrt(np.mean(best**2)))
+    return Refit(float(np.sqrt(np.mean(best**2))), tuple(problem.effects(z)))
+
+
+def absorbable(probe: Probe) -> np.ndarray:
+    """Orthonormal directions, in whitened recordings, that psi and the initial states take up to first order."""
+    alone = _Problem(probe, probe.plain, (), None)
+    return np.linalg.qr(alone.jacobian(alone.initial))[0]
+
+
+def beside(basis: np.ndarray, probe: Probe, changed: Sequence[np.ndarray]) -> float:
+    """RMS in noise sds that remains of a change to first order; infinite where a simulation diverged."""
+    noise = probe.system.noise()
+    change = np.concatenate([((c - p) / noise).ravel() for c, p in zip(changed, probe.plain, strict=True)])
+    if not np.isfinite(change).all():
+        return np.inf
+    return float(np.sqrt(np.mean((change - basis @ (basis.T @ change)) ** 2)))
+
+
+def linear_share(probe: Probe, truths: Sequence[np.ndarray], rivals: Sequence[Effect]) -> list[float]:
+    """For each rival the share of RMS that remains beside psi and the initial states alone, to first order.
+
+    Small effects are assumed: it is for telling which rivals are worth a refit.
+    """
+    basis = absorbable(probe)
+    alone = _Problem(probe, truths, (), None)
+    target = alone.residual(alone.initial)
+    target = target - basis @ (basis.T @ target)
+    result = []
+    for rival in rivals:
+        problem = _Problem(probe, truths, (rival,), None)
+        columns = problem.sensitivities(problem.initial)
+        columns = columns - basis @ (basis.T @ columns)
+        sizes = np.linalg.norm(columns, axis=0)
+        columns = columns[:, sizes > 1e-6 * max(sizes.max(), 1e-300)]
+        left = target - columns @ np.linalg.lstsq(columns, target, rcond=1e-8)[0]
+        result.append(float(np.linalg.norm(left) / np.linalg.norm(target)))
+    return result
+
+
+class _Problem:
+    """The unknowns z: psi in tenths of its value, then for each recording its state in small units and its own
+    change of the psi that vary, then the rivals' parameters as they are."""
+
+    def __init__(self, probe: Probe, truths, rivals: Sequence[Effect], believed: tuple[float, str] | None) -> None:
+        self.probe, self.truths, self.rivals, self.believed = probe, truths, list(rivals), believed
+        system, psi, self.noise = probe.system, probe.psi, probe.system.noise()
+        self.scales = np.array([0.1 * abs(psi[entry.name]) for entry in system.psi])
+        center = np.array([psi[entry.name] for entry in system.psi])
+        self.low, self.high = ((np.array([e.support()[s] for e in system.psi]) - center) / self.scales for s in (0, 1))
+        self.model = system.compile(psi)
+        self.varying = [i for i, entry in enumerate(system.psi) if entry.name in probe.varying]
+        self.num_psi, self.num_state = len(system.psi), 2 * self.model.nv
+        self.num_own = self.num_state + len(self.varying)
+        self.state_scale = np.repeat([1e-3, 1e-2], self.model.nv)
+        self.places = [
+            (e, key, i)
+            for e, effect in enumerate(self.rivals)
+            for key, value in effect.parameters.items()
+            for i in (range(len(value)) if isinstance(value, list) else (None,))
+        ]
+        first = [_entry(self.rivals[e].parameters[key], i) for e, key, i in self.places]
+        own = np.zeros(len(probe.starts) * self.num_own)
+        self.initial = np.concatenate((np.zeros(self.num_psi), own, first))
+
+    def effects(self, z: np.ndarray) -> list[Effect]:
+        """The rivals at their parameters in z; a size that has no sign stays positive."""
+        given = [{k: list(v) if isinstance(v, list) else v for k, v in e.parameters.items()} for e in self.rivals]
+        for (e, key, i), value in zip(self.places, z[self.initial.size - len(self.places) :], strict=True):
+            law = LAWS[self.rivals[e].name]
+            if i is not None:
+                given[e][key][i] = float(value)
+            else:
+                positive = not law.signed and not law.axes and key == next(iter(law.units))
+                given[e][key] = float(max(value, 1e-9) if positive else value)
+        return [replace(e, parameters=p) for e, p in zip(self.rivals, given, strict=True)]
+
+    def clip(self, z: np.ndarray) -> np.ndarray:
+        z[: self.num_psi] = np.clip(z[: self.num_psi], self.low, self.high)
+        return z
+
+    def residual(self, z: np.ndarray) -> np.ndarray:
+        return np.concatenate([self._one(r, z, bool(self.rivals)) for r in range(len(self.truths))])
+
+    def jacobian(self, z: np.ndarray) -> np.ndarray:
+        """By finite differences; psi and states through the believed model alone, which is near enough."""
+        size = self.truths[0].size
+        result = np.zeros((len(self.truths) * size, z.size))
+        for r in range(len(self.truths)):
+            rows, base = slice(r * size, (r + 1) * size), self._one(r, z, False)
+            at = self.num_psi + r * self.num_own
+            for column in [*range(self.num_psi), *range(at, at + self.num_own)]:
+                step = 1e-2 if at <= column < at + self.num_state else 1e-4
+                result[rows, column] = (self._one(r, _moved(z, column, step), False) - base) / step
+        if self.rivals:
+            result[:, z.size - len(self.places) :] = self.sensitivities(z)
+        return result
+
+    def sensitivities(self, z: np.ndarray) -> np.ndarray:
+        """Columns of the rivals' parameters."""
+        result, base = np.zeros((sum(t.size for t in self.truths), len(self.places))), self.residual(z)
+        for place, (e, key, _) in enumerate(self.places):
+            step = 1e-3 * (float(np.abs(self.rivals[e].parameters[key]).max()) or 1.0)
+            moved = _moved(z, z.size - len(self.places) + place, step)
+            result[:, place] = (self.residual(moved) - base) / step
+        return result
+
+    def _one(self, r: int, z: np.ndarray, with_rivals: bool) -> np.ndarray:
+        probe, system = self.probe, self.probe.system
+        at = self.num_psi + r * self.num_own
+        start = shifted(self.model, probe.starts[r], self.state_scale * z[at : at + self.num_state])
+        change = z[: self.num_psi].copy()
+        change[self.varying] += z[at + self.num_state : at + self.num_own]
+        change = np.clip(change, self.low, self.high)
+        psi = {e.name: probe.psi[e.name] + self.scales[i] * change[i] for i, e in enumerate(system.psi)}
+        if with_rivals:
+            run = simulate_reality(system, psi, self.effects(z), start, probe.times, probe.inputs[r], probe.finer)
+            columns = run.columns
+        else:
+            model = system.compile(psi, *(self.believed or (None, None)))
+            columns = simulate_believed(system, model, start, probe.times, probe.inputs[r])
+        whitened = ((columns - self.truths[r]) / self.noise).ravel()
+        return np.nan_to_num(np.clip(whitened, -1e4, 1e4), nan=1e4)
+
+
+def _entry(value: float | list[float], index: int | None) -> float:
+    return float(value[index]) if isinstance(value, list) and index is not None else float(value)  # type: ignore[arg-type]
+
+
+def _moved(z: np.ndarray, column: int, step: float) -> np.ndarray:
+    moved = z.copy()
+    moved[column] += step
+    return moved

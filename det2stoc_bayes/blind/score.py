@@ -1,155 +1,133 @@
 """Compare a diagnosis (diagnosis.json) with the answer of a concealed case."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rich.table import Table
+from det2stoc_bayes.blind.intervals import Estimates, compare_parameters, compare_psi
 
-NEUTRAL = {"ratio": 1.0}  # the value that means no effect, where it is not zero
 Json = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class CaseScore:
-    """How one diagnosis did; None where a question does not apply.
+class EffectScore:
+    """How one concealed effect was diagnosed; None where a question does not apply.
 
-    `named`: name and element right, equivalents included. `listed`: the right class is among an
-    inconclusive diagnosis's candidates. `false_claim`: a mismatch is claimed and what is named is wrong.
+    `named`: a claim has its name and element, or an accepted equivalent's. `placed`: a claim is on its element.
+    `listed`: it is among the claims or the candidates of an inconclusive diagnosis.
+    """
+
+    truth: str
+    named: bool
+    placed: bool
+    listed: bool
+    estimates: Estimates = Estimates()
+    probability: float | None = None
+
+
+@dataclass(frozen=True)
+class CaseScore:
+    """How one diagnosis did. `named`: every effect is named, and nothing else is claimed.
+
+    `false_claim`: a mismatch is claimed and some of what is named is wrong. `psi_covered`, `psi_narrow`: shares of
+    psi whose 95 % interval holds the truth, and is narrower than NARROW of it.
     """
 
     truth: str
     diagnosed: str
     verdict: bool
     named: bool
-    placed: bool
-    listed: bool
     false_claim: bool
-    covers: bool | None = None
-    relative_error: float | None = None
-    relative_width: float | None = None
-    probability: float | None = None
+    effects: tuple[EffectScore, ...] = ()
     psi_covered: float | None = None
+    psi_narrow: float | None = None
+
+    @property
+    def placed(self) -> bool:
+        """Whether every effect's element was found."""
+        return all(e.placed for e in self.effects)
+
+    @property
+    def listed(self) -> bool:
+        """Whether every effect was at least a candidate."""
+        return all(e.listed for e in self.effects)
 
 
 def score(answer: Json, diagnosis: Json) -> CaseScore:
     """Judge a diagnosis by the answer of its case."""
-    effects, verdict = list(diagnosis.get("effects") or []), diagnosis["verdict"]
-    psi = _psi_covered(answer, diagnosis)
+    claims, verdict = list(diagnosis.get("effects") or []), diagnosis["verdict"]
+    covered, narrow = compare_psi(answer.get("psi", {}), diagnosis.get("psi") or {})
     if not answer["effects"]:
-        silent = verdict == "no_mismatch" and not effects
-        said = "no_mismatch" if silent else _labels(effects, verdict)
-        return CaseScore("nothing", said, silent, silent, silent, silent, not silent, psi_covered=psi)
-    truth = answer["effects"][0]
-    members = [truth, *truth.get("accepted", [])]
-    found = [(entry, right, given) for entry in effects for right, given in _matches(members, entry)]
-    placed = any(_same_element(m, given) for m in members for e in effects for given in _given(e))
+        silent = verdict == "no_mismatch" and not claims
+        said = "no_mismatch" if silent else labels(claims, verdict)
+        alarm = verdict in ("mismatch", "inconclusive")
+        return CaseScore("nothing", said, silent, silent, alarm, (), covered, narrow)
     claimed = verdict == "mismatch"
-    named = claimed and bool(found) and len(effects) == 1
-    candidates = [*effects, *(diagnosis.get("candidates") or [])]
-    result = {
-        "truth": _label(truth),
-        "diagnosed": _labels(effects, verdict),
-        "verdict": verdict == answer["verdict"],
-        "named": named,
-        "placed": placed,
-        "listed": any(True for entry in candidates for _ in _matches(members, entry)),
-        "false_claim": claimed and not named,
-        "psi_covered": psi,
-    }
-    if found:
-        entry, right, given = found[0]
-        covers, error, width = compare_parameters(right.get("parameters", {}), given.get("parameters", {}))
-        result |= {"covers": covers, "relative_error": error, "relative_width": width}
-        result["probability"] = entry.get("probability")
-    return CaseScore(**result)
+    pairing = _pairing(answer["effects"], claims)
+    effects = tuple(
+        _judge(truth, claims, diagnosis.get("candidates") or [], pairing.get(i) if claimed else None)
+        for i, truth in enumerate(answer["effects"])
+    )
+    named = claimed and all(e.named for e in effects) and len(claims) == len(effects)
+    strangers = len(pairing) < len(claims)
+    return CaseScore(
+        labels(answer["effects"], ""),
+        labels(claims, verdict),
+        verdict == answer["verdict"],
+        named,
+        claimed and (strangers or not claims),
+        effects,
+        covered,
+        narrow,
+    )
 
 
-def compare_parameters(truth: Json, given: Json) -> tuple[bool | None, float | None, float | None]:
-    """(all intervals cover, relative error and relative interval width of the first parameter)."""
-    given = _positive_amplitude(given)
-    covered: list[bool] = []
-    error = width = None
-    for key, value in truth.items():
-        entry = given.get(key)
-        if not isinstance(value, int | float) or not isinstance(entry, Mapping) or not _scalar(entry):
-            continue
-        if key == "timestep":  # any timestep that converges is right
-            continue
-        low, high = entry["interval"]
-        mean = entry["mean"]
-        if key in ("phase", "direction"):
-            value += 2.0 * math.pi * round((mean - value) / (2.0 * math.pi))
-        covered.append(low <= value <= high)
-        size = abs(value - NEUTRAL.get(key, 0.0))
-        if error is None and size > 0.0 and key not in ("phase", "direction"):
-            error, width = abs(mean - value) / size, (high - low) / size
-    return (all(covered) if covered else None), error, width
+def _judge(truth: Json, claims: Sequence[Json], candidates: Sequence[Json], claim: int | None) -> EffectScore:
+    members = _members(truth)
+    placed = any(same_element(m, given) for m in members for c in claims for given in _given(c))
+    listed = any(_matches(members, entry) for entry in (*claims, *candidates))
+    if claim is None:
+        return EffectScore(label(truth), False, placed, listed)
+    right, given = _matches(members, claims[claim])[0]
+    estimates = compare_parameters(right.get("parameters", {}), given.get("parameters", {}), right.get("judged", {}))
+    return EffectScore(label(truth), True, placed, listed, estimates, claims[claim].get("probability"))
 
 
-def summary(scores: Sequence[CaseScore]) -> dict[str, float | int]:
-    """Counts and rates over many cases."""
-    cases = [s for s in scores if s.truth != "nothing"]
-    controls = [s for s in scores if s.truth == "nothing"]
-    covers = [s.covers for s in cases if s.covers is not None]
-    errors = sorted(s.relative_error for s in cases if s.relative_error is not None)
-    return {
-        "cases": len(cases),
-        "verdict_right": sum(s.verdict for s in cases),
-        "named_right": sum(s.named for s in cases),
-        "false_claims": sum(s.false_claim for s in cases),
-        "controls": len(controls),
-        "false_alarms": sum(s.false_claim for s in controls),
-        "intervals": len(covers),
-        "intervals_cover": sum(covers),
-        "median_relative_error": errors[len(errors) // 2] if errors else math.nan,
-    }
+def _pairing(truths: Sequence[Json], claims: Sequence[Json]) -> dict[int, int]:
+    """The largest matching of effects to claims, each claim used once; there are few of either."""
+
+    def extend(index: int, used: frozenset[int]) -> dict[int, int]:
+        if index == len(truths):
+            return {}
+        options = [extend(index + 1, used)]
+        for c, claim in enumerate(claims):
+            if c not in used and _matches(_members(truths[index]), claim):
+                options.append({index: c, **extend(index + 1, used | {c})})
+        return max(reversed(options), key=len)
+
+    return extend(0, frozenset())
 
 
-def score_table(scores: Sequence[CaseScore], names: Sequence[str] | None = None) -> Table:
-    """One row a case, for a terminal."""
-    table = Table(title="Concealed effects and what was diagnosed")
-    for heading in (
-        "case",
-        "concealed",
-        "diagnosed",
-        "right",
-        "95 % covers",
-        "error",
-        "width",
-        "psi in 95 %",
-    ):
-        table.add_column(heading, justify="left" if heading in ("case", "concealed", "diagnosed") else "right")
-    for index, one in enumerate(scores):
-        right = "yes" if one.named else "listed" if one.listed else "[red]no[/red]"
-        table.add_row(
-            names[index] if names else str(index + 1),
-            one.truth,
-            one.diagnosed,
-            right,
-            "" if one.covers is None else "yes" if one.covers else "[red]no[/red]",
-            _percent(one.relative_error),
-            _percent(one.relative_width),
-            _percent(one.psi_covered),
-        )
-    return table
-
-
-def _percent(value: float | None) -> str:
-    return "" if value is None else f"{100.0 * value:.1f} %"
-
-
-def _label(entry: Json) -> str:
+def label(entry: Json) -> str:
+    """name @ element."""
     return f"{entry['name']} @ {entry['element']['name']}"
 
 
-def _labels(effects: Sequence[Json], verdict: str) -> str:
-    return " + ".join(_label(entry) for entry in effects) or verdict
+def labels(entries: Sequence[Json], otherwise: str) -> str:
+    """All entries' labels, or what to say where there are none."""
+    return " + ".join(label(entry) for entry in entries) or otherwise
 
 
-def _scalar(entry: Json) -> bool:
-    return isinstance(entry.get("mean"), int | float) and len(entry.get("interval", ())) == 2
+def same_element(right: Json, given: Json) -> bool:
+    """Whether two entries act on the same element; the world and the simulator need no name."""
+    a, b = right["element"], given["element"]
+    if a["kind"] != b["kind"]:
+        return False
+    return a["kind"] in ("world", "simulator") or a["name"] in ("*", b["name"])
+
+
+def _members(truth: Json) -> list[Json]:
+    return [truth, *truth.get("accepted", [])]
 
 
 def _given(entry: Json) -> list[Json]:
@@ -157,33 +135,5 @@ def _given(entry: Json) -> list[Json]:
     return [entry, *({"element": entry["element"], **other} for other in entry.get("equivalent") or [])]
 
 
-def _same_element(right: Json, given: Json) -> bool:
-    a, b = right["element"], given["element"]
-    if a["kind"] != b["kind"]:
-        return False
-    return a["kind"] in ("world", "simulator") or a["name"] in ("*", b["name"])
-
-
 def _matches(members: Sequence[Json], entry: Json) -> list[tuple[Json, Json]]:
-    return [(m, g) for g in _given(entry) for m in members if m["name"] == g["name"] and _same_element(m, g)]
-
-
-def _positive_amplitude(given: Json) -> Json:
-    """A sin(x + phase) with A < 0 is -A sin(x + phase + pi)."""
-    amplitude, phase = given.get("amplitude"), given.get("phase")
-    if not (amplitude and phase and _scalar(amplitude) and _scalar(phase)) or amplitude["mean"] >= 0.0:
-        return given
-    low, high = amplitude["interval"]
-    flipped = {**amplitude, "mean": -amplitude["mean"], "interval": [-high, -low]}
-    turned = {**phase, "mean": phase["mean"] + math.pi, "interval": [x + math.pi for x in phase["interval"]]}
-    return {**given, "amplitude": flipped, "phase": turned}
-
-
-def _psi_covered(answer: Json, diagnosis: Json) -> float | None:
-    """The share of psi whose true value lies within 1.96 sds of the mean after."""
-    inside = []
-    for name, value in answer.get("psi", {}).items():
-        after = (diagnosis.get("psi") or {}).get(name, {}).get("after")
-        if after:
-            inside.append(abs(after["mean"] - value) <= 1.96 * after["sd"])
-    return sum(inside) / len(inside) if inside else None
+    return [(m, g) for m in members for g in _given(entry) if m["name"] == g["name"] and same_element(m, g)]

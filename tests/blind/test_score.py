@@ -9,7 +9,8 @@ from rich.console import Console
 
 from det2stoc_bayes.blind import demo
 from det2stoc_bayes.blind.conceal import make_case
-from det2stoc_bayes.blind.score import score, score_table, summary
+from det2stoc_bayes.blind.score import score
+from det2stoc_bayes.blind.summary import markdown, summary
 
 
 def entry(name, kind, element, **parameters):
@@ -39,9 +40,11 @@ def claim(*effects, **more):
 def test_the_concealed_name_and_its_equivalents_are_right():
     after = {"mass": {"after": {"mean": 2.1, "sd": 0.1}}, "stiffness": {"after": {"mean": 50.0, "sd": 1.0}}}
     one = score(ANSWER, claim(DRAG, psi=after))
-    assert one.verdict and one.named and one.placed and not one.false_claim and one.covers
-    assert one.relative_error == pytest.approx(0.02) and one.relative_width == pytest.approx(0.24)
-    assert one.psi_covered == 0.5
+    assert one.verdict and one.named and one.placed and not one.false_claim
+    told = one.effects[0].estimates
+    assert told.covers and told.narrow
+    assert told.error == pytest.approx(0.02) and told.width == pytest.approx(0.24)
+    assert one.psi_covered == 0.5 and one.psi_narrow == 1.0
     listed = entry("cubic_stiffness", "joint", "rail", stiffness=estimate(1, 0, 2)) | {"equivalent": [DRAG]}
     assert score(ANSWER, claim(listed)).named
 
@@ -75,36 +78,76 @@ def test_phases_wrap_and_amplitudes_flip():
         phase=estimate(3.0 - math.pi - 2 * math.pi, 2.9 - 3 * math.pi, 3.1 - 3 * math.pi),
     )
     one = score({**ANSWER, "effects": [truth]}, claim(given))
-    assert one.covers and one.relative_error == pytest.approx(0.0)
+    assert one.effects[0].estimates.covers and one.effects[0].estimates.error == pytest.approx(0.0)
 
 
 def test_ratio_errors_are_relative_to_the_change():
     truth = entry("actuator_gain", "actuator", "m", ratio=0.9)
     given = entry("actuator_gain", "actuator", "m", ratio=estimate(0.91, 0.90, 0.92))
-    assert score({**ANSWER, "effects": [truth]}, claim(given)).relative_error == pytest.approx(0.1)
+    told = score({**ANSWER, "effects": [truth]}, claim(given)).effects[0].estimates
+    assert told.error == pytest.approx(0.1) and told.width == pytest.approx(0.2)
 
 
 def test_integration_needs_no_exact_timestep_and_worlds_no_name():
     truth = entry("numerical_integration", "simulator", "option", timestep=0.005, integrator="RK4")
     given = entry("numerical_integration", "simulator", "opt", timestep=estimate(0.00125, 0.001, 0.002))
     one = score({**ANSWER, "effects": [truth]}, claim(given))
-    assert one.named and one.covers is None
+    assert one.named and one.effects[0].estimates.covers is None
 
 
-def test_summary_and_table():
-    scores = [
-        score(ANSWER, claim(DRAG)),
-        score(CONTROL, claim(DRAG)),
-        score(CONTROL, {"verdict": "no_mismatch"}),
-    ]
-    counts = summary(scores)
-    assert (counts["cases"], counts["named_right"], counts["controls"], counts["false_alarms"]) == (
-        1,
-        1,
-        2,
-        1,
+def test_vectors_are_judged_where_the_study_sees_them():
+    truth = entry("com_offset", "body", "rod", offset=[0.03, 0.9, 0.04]) | {"judged": {"offset": [0, 2]}}
+    given = entry("com_offset", "body", "rod", offset={"mean": [0.03, 0.0, 0.05], "sd": [0.01] * 3, "interval": []})
+    given["parameters"]["offset"]["interval"] = [[0.01, 0.05], [-0.1, 0.1], [0.03, 0.07]]
+    told = score({**ANSWER, "effects": [truth]}, claim(given)).effects[0].estimates
+    assert (
+        told.covers and told.error == pytest.approx(0.2) and told.width == pytest.approx(math.hypot(0.04, 0.04) / 0.05)
     )
-    assert score_table(scores, ["a", "b", "c"]).row_count == 3
+    assert told.narrow is False
+    given["parameters"]["offset"]["interval"][2] = [0.045, 0.055]
+    assert score({**ANSWER, "effects": [truth]}, claim(given)).effects[0].estimates.covers is False
+
+
+PUSH = entry("constant_force", "joint", "rail", force=2.0)
+PUSHED = entry("constant_force", "joint", "rail", force=estimate(2.0, 1.9, 2.1))
+TWO = {**ANSWER, "effects": [*ANSWER["effects"], PUSH]}
+
+
+def test_pairs_need_both_and_nothing_else():
+    both = score(TWO, claim(PUSHED, DRAG))
+    assert both.named and not both.false_claim and [e.named for e in both.effects] == [True, True]
+    assert [e.estimates.width for e in both.effects] == pytest.approx([0.24, 0.1])
+    half = score(TWO, claim(PUSHED))
+    assert not half.named and not half.false_claim and [e.named for e in half.effects] == [False, True]
+    twice = score(TWO, claim(PUSHED, PUSHED))
+    assert not twice.named and twice.false_claim
+    more = score(TWO, claim(PUSHED, DRAG, entry("armature", "joint", "elbow")))
+    assert not more.named and more.false_claim and all(e.named for e in more.effects)
+
+
+def test_a_claim_that_fits_two_effects_is_given_to_the_one_that_needs_it():
+    either = {**PUSH, "accepted": [ANSWER["effects"][0]]}
+    two = {**ANSWER, "effects": [either, ANSWER["effects"][0] | {"accepted": []}]}
+    same = entry("quadratic_damping", "joint", "rail", coefficient=estimate(0.5, 0.4, 0.6))
+    assert score(two, claim(same, PUSHED)).named
+
+
+def test_a_failed_diagnosis_is_neither_right_nor_a_claim():
+    for answer in (ANSWER, CONTROL):
+        one = score(answer, {"verdict": "failed (1)", "error": "what it said"})
+        assert not one.named and not one.verdict and not one.false_claim and one.diagnosed == "failed (1)"
+
+
+def test_summary_and_markdown():
+    scores = [score(ANSWER, claim(DRAG)), score(CONTROL, claim(DRAG)), score(CONTROL, {"verdict": "no_mismatch"})]
+    counts = summary(scores)
+    assert (counts["cases"], counts["named_right"], counts["controls"], counts["false_alarms"]) == (1, 1, 2, 1)
+    assert (counts["intervals"], counts["intervals_cover"], counts["intervals_narrow"]) == (1, 1, 1)
+    rows = [(kind, s, 10.0, 300.0) for kind, s in zip(("effect", "control", "control"), scores, strict=True)]
+    text = markdown(rows).splitlines()
+    assert text[2].startswith("| effect | 1 | 1 | 1 | 0 | 1 of 1 | 1 of 1 | 2.0 % | 24.0 % |")
+    assert text[3].startswith("| control | 2 | 1 | 1 | 1 | 0 of 0 |")
+    assert text[-1] == "- control: nothing was said to be quadratic_drag @ carriage (false alarm)"
 
 
 def test_demo_reports_a_failed_diagnosis(tmp_path, monkeypatch, capsys):

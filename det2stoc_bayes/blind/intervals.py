@@ -1,0 +1,89 @@
+"""Numbers of a diagnosis against the truth: do intervals cover it, and are they narrow?"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+Json = Mapping[str, Any]
+NARROW = 0.4  # of the value: a wider 95 % interval tells little
+NEUTRAL = {"ratio": 1.0}  # the value that means no effect, where it is not zero
+ANGLES = ("phase", "direction")
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """All intervals cover; relative error, interval width and narrowness of the first parameter."""
+
+    covers: bool | None = None
+    error: float | None = None
+    width: float | None = None
+
+    @property
+    def narrow(self) -> bool | None:
+        """Whether the width is below NARROW."""
+        return None if self.width is None else self.width < NARROW
+
+
+def compare_parameters(truth: Json, given: Json, judged: Mapping[str, list[int]] | None = None) -> Estimates:
+    """Estimates of one effect; of a parameter in `judged` only those components (a scalar's is 0) count.
+
+    Errors and widths are relative to the change from no effect; a vector's to its length.
+    """
+    given, covered, size = _positive_amplitude(given), [], None
+    for key, value in truth.items():
+        if key in ("timestep", "integrator"):  # any that converges is right
+            continue
+        parts = [
+            (v, *estimate)
+            for i, v in enumerate(value if isinstance(value, list) else [value])
+            if i in (judged or {}).get(key, [i]) and (estimate := _part(given.get(key), i)) is not None
+        ]
+        if key in ANGLES:
+            parts = [(v + 2.0 * math.pi * round((m - v) / (2.0 * math.pi)), m, a, b) for v, m, a, b in parts]
+        covered += [low <= v <= high for v, _, low, high in parts]
+        length = math.hypot(*(v - NEUTRAL.get(key, 0.0) for v, *_ in parts))
+        if size is None and length > 0.0 and key not in ANGLES:
+            error = math.hypot(*(m - v for v, m, *_ in parts))
+            size = (error / length, math.hypot(*(high - low for *_, low, high in parts)) / length)
+    error, width = size or (None, None)
+    return Estimates(all(covered) if covered else None, error, width)
+
+
+def compare_psi(truth: Mapping[str, float], given: Json) -> tuple[float | None, float | None]:
+    """Shares of psi that are covered by mean +- 1.96 sd, and whose such interval is narrow."""
+    inside = list(_psi(truth, given))
+    if not inside:
+        return None, None
+    return sum(c for c, _ in inside) / len(inside), sum(n for _, n in inside) / len(inside)
+
+
+def _psi(truth: Mapping[str, float], given: Json) -> Iterator[tuple[bool, bool]]:
+    for name, value in truth.items():
+        after = (given.get(name) or {}).get("after")
+        if after and isinstance(after.get("mean"), int | float):
+            half = 1.96 * after["sd"]
+            yield abs(after["mean"] - value) <= half, 2.0 * half < NARROW * abs(value)
+
+
+def _part(estimate: Any, index: int) -> tuple[float, float, float] | None:
+    """(mean, low, high) of a component; a scalar's interval is [low, high], a vector's a list of such or two lists."""
+    if not isinstance(estimate, Mapping) or "interval" not in estimate:
+        return None
+    mean, interval = estimate["mean"], estimate["interval"]
+    if isinstance(mean, int | float):
+        return (mean, *interval) if index == 0 else None
+    if len(interval) == 2 and len(mean) != 2 and isinstance(interval[0], list):
+        return mean[index], interval[0][index], interval[1][index]
+    return mean[index], *interval[index]
+
+
+def _positive_amplitude(given: Json) -> Json:
+    """A sin(x + phase) with A < 0 is -A sin(x + phase + pi)."""
+    amplitude, phase = given.get("amplitude"), given.get("phase")
+    first, second = _part(amplitude, 0), _part(phase, 0)
+    if first is None or second is None or first[0] >= 0.0:
+        return given
+    flipped = {"mean": -first[0], "interval": [-first[2], -first[1]]}
+    turned = {"mean": second[0] + math.pi, "interval": [second[1] + math.pi, second[2] + math.pi]}
+    return {**given, "amplitude": flipped, "phase": turned}

@@ -1,0 +1,20 @@
+"""The concealed physics, written as plain code on MuJoCo's arrays; independent of every other module."""
+
+from det2stoc_bayes.blind.laws.actuator import ACTUATOR_LAWS
+from det2stoc_bayes.blind.laws.base import Effect, Law, Scene
+from det2stoc_bayes.blind.laws.body import BODY_LAWS
+from det2stoc_bayes.blind.laws.joint import JOINT_LAWS
+from det2stoc_bayes.blind.laws.sensor import SENSOR_LAWS
+from det2stoc_bayes.blind.laws.world import WORLD_LAWS
+
+INTEGRATION = "numerical_integration"  # what the believed model does wrong, not what reality does besides
+LAWS: dict[str, Law] = {
+    **JOINT_LAWS,
+    **BODY_LAWS,
+    **WORLD_LAWS,
+    **ACTUATOR_LAWS,
+    **SENSOR_LAWS,
+    INTEGRATION: Law("simulator", {"timestep": "s"}, lambda scene, element: 0.02, lambda m, drawn: {"timestep": m}),
+}
+
+__all__ = ["INTEGRATION", "LAWS", "Effect", "Law", "Scene"]
