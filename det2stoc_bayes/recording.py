@@ -129,7 +129,7 @@ def _drop_glitches(
     for column, alone in found.items():
         if alone.any():
             rows = np.flatnonzero(alone)
-            shown = listing((str(table.lines[i]) for i in rows), 5)
+            shown = listing((str(table.lines[int(i)]) for i in rows), 5)
             many = "a single sample out of line is" if len(rows) == 1 else f"{len(rows)} samples out of line are"
             _tell(f"{table.label}: {column}: {many} treated as dropped: {table.unit} {shown}")
             for c in groups.get(column, (column,)):

@@ -55,7 +55,7 @@ def _spread(problem: Problem) -> Float[np.ndarray, "starts segments states"]:
     model, seen = problem.simulator.model, problem.guess.seen
     unseen = np.flatnonzero(~seen)
     change = np.zeros((NUM_STARTS, problem.segments.count, 2 * model.nv))
-    draws = qmc.Sobol(len(unseen), seed=0).random(NUM_STARTS)
+    draws = qmc.Sobol(len(unseen), rng=0).random(NUM_STARTS)
     for column, v in zip(draws.T, unseen, strict=True):
         low, high = _reach(model, int(v))
         change[1:, :, v] = (low + (high - low) * column[1:])[:, None]
