@@ -89,7 +89,8 @@ def inertial(change):
 def payload(spec, model):
     """A ball of almost no size, welded on."""
     ball = spec.body("lower").add_body(pos=VALUES["PayloadMass"]["offset"])
-    ball.mass, ball.explicitinertial, ball.inertia = 0.2, True, [1e-12] * 3
+    ball.mass, ball.explicitinertial = 0.2, True
+    ball.ipos, ball.inertia = [0, 0, 0], [1e-12] * 3
 
 
 def option(**changes):
