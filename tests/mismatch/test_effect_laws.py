@@ -301,3 +301,32 @@ def test_friction_by_load_takes_a_share_and_holds_at_rest():
     # Gravity along the joint: a command that balances it, and more friction than the imbalance.
     held = block("LoadDependentFriction", {"coefficient": 0.25}, 0.0, 19.0, gravity="-9.81 0 0")
     assert np.abs(held).max() < 5e-3
+
+
+BALL = '<body name="ball" pos="0 0 1"><joint name="hinge" axis="0 1 0"/><geom size="0.1" mass="2"/></body>'
+
+
+@pytest.mark.parametrize("form", ["ComOffset", "PayloadMass"])
+def test_a_body_whose_frames_are_one_can_be_changed(tmp_path, form):
+    """MuJoCo's shortcuts for such a body (body_sameframe, body_simple) would ignore a changed inertial frame."""
+    xml, time = model_xml(BALL), np.arange(21) * 0.02
+    assert mujoco.MjModel.from_xml_string(xml).body_sameframe[1]
+    simulator = Simulator(make_study(tmp_path / "ball", xml), num_threads=1)
+    placed = place_form(simulator.model, form)
+    segments = cut([blank_recording(simulator.model, time)])
+    start = Start(np.full((1, 1), 0.3), np.ones((1, 1)), np.zeros((1, 0)))
+    fields = simulator.fields(np.zeros((1, 0)), [""])
+    effects = (EffectRows.alike(placed, 1, VALUES[form]),)
+    found = simulator.rollout(Request(segments, np.zeros(1, int), start, fields, effects))[0]
+    offset, mass, inertia = np.array(VALUES[form]["offset"]), 2.0, np.full(3, 0.4 * 2 * 0.1**2)
+    about = inertia[1] + (mass * (offset[0] ** 2 + offset[2] ** 2) if form == "ComOffset" else 0.0)
+    moment = mass * offset if form == "ComOffset" else VALUES[form]["mass"] * offset
+    if form == "PayloadMass":
+        about += VALUES[form]["mass"] * (offset[0] ** 2 + offset[2] ** 2)
+    q, v = 0.3, 1.0
+    expected = [(q, v)]
+    for _ in range(200):  # a physical pendulum by semi-implicit Euler: torque of gravity about y over the inertia
+        v += 0.002 * 9.81 * (moment[0] * np.cos(q) + moment[2] * np.sin(q)) / about
+        q += 0.002 * v
+        expected.append((q, v))
+    np.testing.assert_allclose(found, np.array(expected)[::10], atol=1e-9)
