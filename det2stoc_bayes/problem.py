@@ -131,7 +131,7 @@ class Problem:
         return [*(np.array([i]) for i in range(self.size) if i not in own), *together]
 
     def effect_values(self, z: Array, xp: Any = np) -> list[dict[str, Array]]:
-        """Parameters (...), vectors (..., 3), of each effect in their own units from unknowns (..., size) of either library."""
+        """Parameters (...) or (..., 3) of each effect, in their own units, from unknowns (..., size)."""
         out, begin = [], self.num_psi
         for effect in self.effects:
             out.append(effect.from_normal([z[..., begin + i] for i in range(effect.size)], xp))

@@ -212,10 +212,10 @@ def test_effects_lists_the_catalogue():
     from det2stoc_bayes.mismatch.effects import CATALOGUE
 
     listed = json.loads(run("effects", "--json").stdout)
-    assert [e["name"] for e in listed] == list(CATALOGUE)
+    assert [e["name"] for e in listed] == [form.name for e in CATALOGUE.values() for form in e.forms()]
     friction = next(e for e in listed if e["name"] == "coulomb_friction")
     assert friction["law"] == "-F sign(v)"
-    assert friction["parameters"] == [{"name": "force", "unit": ["N", "N m"]}]
+    assert friction["parameters"] == [{"name": "force", "unit": ["N", "N m"], "size": 1}]
     shown = run("effects").stdout
     assert "force [N or N m]" in shown
 

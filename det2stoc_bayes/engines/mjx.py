@@ -131,7 +131,9 @@ class _Predict:
         farthest = [problem.effect_values(np.full((1, problem.size), s)) for s in (-FARTHEST, FARTHEST)]
         self._before = max(_num_before(problem.effects, values, self._one.dt) for values in farthest)
         num_steps = int(segments.steps(self._one.dt).max())
-        self._ctrl = jnp.asarray(segments.commands(np.arange(segments.count), self._one.dt, num_steps + 1, self._before))
+        self._ctrl = jnp.asarray(
+            segments.commands(np.arange(segments.count), self._one.dt, num_steps + 1, self._before)
+        )
         self._time = jnp.asarray(segments.time)
         self._start = tuple(jnp.asarray(a) for a in (start.qpos, start.qvel, start.act))
         self._model = problem.simulator.model

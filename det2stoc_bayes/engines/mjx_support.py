@@ -60,7 +60,7 @@ def check_effect(model: mujoco.MjModel, placed: PlacedEffect) -> None:
     if effect.changes and effect.in_mjx_fields:
         check_fields(model, [name for name in effect.changes if name != "opt.timestep"])  # that one may follow a clock
     elif effect.changes and not effect.uses("joint_force"):
-        raise EngineError(f"mjx: effect {placed.label} changes model fields in a way that MJX cannot; allowed: the engine c")
+        raise EngineError(f"mjx: effect {placed.label} changes fields as MJX cannot; allowed: the engine c")
 
 
 def _arrays() -> frozenset[str]:

@@ -37,7 +37,9 @@ class Stepper:
         self.ctrl = batch.bind("ctrl") if model.nu else np.zeros((len(self.qpos), 0))
         self.act = batch.bind("act") if model.na else np.zeros((len(self.qpos), 0))
         self.derived = {n: batch.bind(n) for n in ("cvel", "xipos", "subtree_com")} if self.pushed else {}
-        self.sizes = batch.expand("geom_size") if any(e.placed.element.traits & {"sized"} for e in self.pushed) else None
+        self.sizes = (
+            batch.expand("geom_size") if any(e.placed.element.traits & {"sized"} for e in self.pushed) else None
+        )
         self.fields = self._expanded()
         self.believed = {n: self.fields[n].copy() for e in self.momentary for n in e.placed.effect.writes}
 

@@ -1,10 +1,10 @@
-"""Every form of every effect: trials that screening can take, starts that refinement can use, columns that are right."""
+"""Every form of every effect: trials that screening takes, starts for refinement, columns that are right."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from catalogue import AIR, FORMS, VALUES, place_form
+from catalogue import AIR, FORMS, place_form
 from conftest import ARM, MOTORS, make_study, model_xml
 from simulated import here, pose, recordings
 

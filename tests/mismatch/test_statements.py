@@ -91,3 +91,19 @@ def test_draws_have_the_covariance_of_the_fit(tmp_path):
     found = parameters(at, stiff, z)["stiffness"]
     scale = 0.3 * 3 / 0.3**3
     assert found.mean == pytest.approx(scale * z[:, 2].mean()) and found.unit == "N/m3"
+
+
+def test_vectors_are_lists_with_a_name_for_each_unknown(tmp_path):
+    problem = spring_problem(tmp_path)
+    payload = place(problem, "payload_mass", "block")
+    problem = problem.with_effects([payload])
+    assert problem.names[2:] == tuple(f"payload_mass[block].{n}" for n in ("mass", "offset.x", "offset.y", "offset.z"))
+    z = np.random.default_rng(0).standard_normal((50, problem.size))
+    values, named = problem.effect_values(z)[0], problem.constrained(z)
+    np.testing.assert_array_equal(values["offset"][:, 2], named["payload_mass[block].offset.z"])
+    q = quantity(values["offset"], "m")
+    assert isinstance(q.mean, tuple) and isinstance(q.interval, tuple) and len(q.mean) == len(q.interval) == 3
+    low, high = q.interval[1]
+    assert low < q.mean[1] < high
+    text = statement(payload, {"offset": Quantity(mean=(1.0, 2, 3), sd=(0.1, 0.1, 0.1), interval=None, unit="m")}, ())
+    assert text == "A payload of (1.00 +- 0.10, 2.00 +- 0.10, 3.00 +- 0.10) m on body block is missing."

@@ -65,7 +65,7 @@ class ActuatorLag(ActuatorEffect):
 
     def control(self, p, u, t, dt, xp):
         """The filter's mean over each step; its sum over the past by doubling the number of terms."""
-        steps = xp.maximum(p["time_constant"] / dt, 1e-6)[..., None]
+        steps = xp.maximum(p["time_constant"] / dt, 1e-12)[..., None]
         keep = xp.exp(-1 / steps)
         past = u - u[..., :1]
         shift = 1

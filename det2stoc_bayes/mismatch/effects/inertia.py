@@ -95,11 +95,10 @@ class PayloadMass(BodyEffect):
 
     def combine(self, trial, coefficients, typical):
         """Masses add up, and their centre is the payload's."""
-        mass = trial.columns[0]["mass"]
-        total = float(np.sum(coefficients)) * mass
-        moments = [float(c) * mass * np.asarray(col["offset"]) for c, col in zip(coefficients, trial.columns, strict=True)]
-        reach = 4 * typical.span
-        offset = np.clip(sum(moments) / total, -reach, reach) if total > 0 else np.zeros(3)
+        mass, offsets = trial.columns[0]["mass"], np.array([column["offset"] for column in trial.columns])
+        total, reach = float(np.sum(coefficients)) * mass, 4 * typical.span
+        centre = mass * coefficients @ offsets / total if total > 0 else np.zeros(3)
+        offset = np.clip(centre, -reach, reach)
         return {"mass": max(total, mass), "offset": offset}
 
     def fields(self, p, fields, at, xp):
@@ -137,7 +136,7 @@ def rotation(quaternion, xp):
 
 
 def quaternion(matrix, xp):
-    """Unit quaternion of a rotation matrix: the leading eigenvector of Bar-Itzhack's matrix (J. Guidance 23(6), 2000)."""
+    """Unit quaternion of a rotation matrix, by Bar-Itzhack's eigenvector (J. Guidance 23(6), 2000)."""
     m = matrix
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
