@@ -60,7 +60,8 @@ def test_files_and_columns(case, tmp_path):
 
 def words(case):
     """What a study's files say beside numbers."""
-    return set(re.findall(r"[A-Za-z_]+", "\n".join([*case.study_files, *case.study_files.values()])))
+    found = re.findall(r"[A-Za-z_]+", "\n".join([*case.study_files, *case.study_files.values()]))
+    return {word for word in found if word != "e"}  # of 1e-05
 
 
 def test_nothing_tells_what_is_concealed(case, pair):
