@@ -14,6 +14,8 @@ from det2stoc_bayes.blind.probe import Probe
 from det2stoc_bayes.blind.reality import shifted, simulate_believed, simulate_reality
 
 ITERATIONS = 10
+# Tenths of psi's value: only signs are kept, or effects would be seen by the edge of a prior alone.
+PSI_RANGE = (-9.8, 100.0)
 ENOUGH = 0.05  # an iteration that lowers the squares by a smaller share is the last
 
 
@@ -53,7 +55,7 @@ def refit(
             break
         gain = 1.0 - (reached @ reached) / (best @ best)
         z, best, damping = trial, reached, max(damping / 30.0, 1e-10)
-        if gain < ENOUGH or np.sqrt(np.mean(best**2)) < enough:
+        if gain < ENOUGH or np.sqrt(np.mean(best**2)) <= enough:
             break
     return Refit(float(np.sqrt(np.mean(best**2))), tuple(problem.effects(z)))
 
@@ -102,8 +104,6 @@ class _Problem:
         self.probe, self.truths, self.rivals, self.believed = probe, truths, list(rivals), believed
         system, psi, self.noise = probe.system, probe.psi, probe.system.noise()
         self.scales = np.array([0.1 * abs(psi[entry.name]) for entry in system.psi])
-        center = np.array([psi[entry.name] for entry in system.psi])
-        self.low, self.high = ((np.array([e.support()[s] for e in system.psi]) - center) / self.scales for s in (0, 1))
         self.model = system.compile(psi)
         self.varying = [i for i, entry in enumerate(system.psi) if entry.name in probe.varying]
         self.num_psi, self.num_state = len(system.psi), 2 * self.model.nv
@@ -132,22 +132,22 @@ class _Problem:
         return [replace(e, parameters=p) for e, p in zip(self.rivals, given, strict=True)]
 
     def clip(self, z: np.ndarray) -> np.ndarray:
-        z[: self.num_psi] = np.clip(z[: self.num_psi], self.low, self.high)
+        z[: self.num_psi] = np.clip(z[: self.num_psi], *PSI_RANGE)
         return z
 
     def residual(self, z: np.ndarray) -> np.ndarray:
-        return np.concatenate([self._one(r, z, bool(self.rivals)) for r in range(len(self.truths))])
+        return np.concatenate([self._one(r, z) for r in range(len(self.truths))])
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
-        """By finite differences; psi and states through the believed model alone, which is near enough."""
+        """By finite differences; without rivals through the believed model, which is faster."""
         size = self.truths[0].size
         result = np.zeros((len(self.truths) * size, z.size))
         for r in range(len(self.truths)):
-            rows, base = slice(r * size, (r + 1) * size), self._one(r, z, False)
+            rows, base = slice(r * size, (r + 1) * size), self._one(r, z)
             at = self.num_psi + r * self.num_own
             for column in [*range(self.num_psi), *range(at, at + self.num_own)]:
                 step = 1e-2 if at <= column < at + self.num_state else 1e-4
-                result[rows, column] = (self._one(r, _moved(z, column, step), False) - base) / step
+                result[rows, column] = (self._one(r, _moved(z, column, step)) - base) / step
         if self.rivals:
             result[:, z.size - len(self.places) :] = self.sensitivities(z)
         return result
@@ -161,15 +161,15 @@ class _Problem:
             result[:, place] = (self.residual(moved) - base) / step
         return result
 
-    def _one(self, r: int, z: np.ndarray, with_rivals: bool) -> np.ndarray:
+    def _one(self, r: int, z: np.ndarray) -> np.ndarray:
         probe, system = self.probe, self.probe.system
         at = self.num_psi + r * self.num_own
         start = shifted(self.model, probe.starts[r], self.state_scale * z[at : at + self.num_state])
         change = z[: self.num_psi].copy()
         change[self.varying] += z[at + self.num_state : at + self.num_own]
-        change = np.clip(change, self.low, self.high)
+        change = np.clip(change, *PSI_RANGE)
         psi = {e.name: probe.psi[e.name] + self.scales[i] * change[i] for i, e in enumerate(system.psi)}
-        if with_rivals:
+        if self.rivals:
             run = simulate_reality(system, psi, self.effects(z), start, probe.times, probe.inputs[r], probe.finer)
             columns = run.columns
         else:

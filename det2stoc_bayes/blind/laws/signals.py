@@ -45,8 +45,8 @@ class Signals:
             goal = self._held[piece, self._lagged]
             self._first[piece + 1] = goal + (self._first[piece] - goal) * np.exp(-duration / self._constant)
 
-    def at(self, piece: int, t: float) -> Float[np.ndarray, " ctrl"]:
-        """The commands at a time in the piece that follows edge `piece`."""
+    def at(self, piece: int, t: float) -> np.ndarray:
+        """The commands at a time in the piece that follows edge `piece`; called at every stage, so unchecked."""
         u = self._held[piece].copy()
         if self._lagged.size:
             goal = u[self._lagged]
