@@ -70,7 +70,7 @@ def write_pendulum(folder: Path) -> None:
     (folder / "study.toml").write_text(study_text(system))
     for index, angle in enumerate((0.8, -1.0, 1.2, -1.4)):
         start, inputs = np.array([angle, 0.0]), 0.4 * system.draw_inputs(rng, times)
-        columns = simulate_reality(system, {"damping": DAMPING}, friction, start, times, inputs)
+        columns = simulate_reality(system, {"damping": DAMPING}, (friction,), start, times, inputs).columns
         columns[1:] += system.noise() * rng.standard_normal(columns[1:].shape)  # released from a known rest
         (folder / "recordings" / f"rec_{index}.csv").write_text(csv_text(system, times, columns, inputs))
 

@@ -8,9 +8,9 @@ from simulated import PENDULUM, noise_table, pose, recordings
 
 from det2stoc_bayes.engines.model_names import model_names
 from det2stoc_bayes.identifiability import check
+from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.map import find_map
 from det2stoc_bayes.mismatch.horizon import climb
-from det2stoc_bayes.linearization import start_point
 
 INERTIA = """
 [psi.inertia]
