@@ -72,7 +72,7 @@ def write_pendulum(folder: Path) -> None:
         start, inputs = np.array([angle, 0.0]), 0.4 * system.draw_inputs(rng, times)
         columns = simulate_reality(system, {"damping": DAMPING}, (friction,), start, times, inputs).columns
         columns[1:] += system.noise() * rng.standard_normal(columns[1:].shape)  # released from a known rest
-        (folder / "recordings" / f"rec_{index}.csv").write_text(csv_text(system, times, columns, inputs))
+        (folder / "recordings" / f"rec_{index}.csv").write_text(csv_text(system, ["torque"], times, columns, inputs))
 
 
 def fit_study(folder: Path) -> Fit:

@@ -10,7 +10,7 @@ from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.screen import Screened, screen
-from det2stoc_bayes.optimize import Fit, fit_many
+from det2stoc_bayes.optimize import Fit, fit_many, summarize
 
 NUM_REFINED = 6
 PROMISING = 0.3  # of the best screened evidence: what earns less is not refined
@@ -183,8 +183,15 @@ def swap(fit: Fit, i: int, other: Ranked) -> Fit:
 
 def _reordered(fit: Fit, i: int) -> Fit:
     """The same fit with effect i last, as refinement leaves it."""
-    effects = [e for k, e in enumerate(fit.problem.effects) if k != i] + [fit.problem.effects[i]]
-    return fit if effects == list(fit.problem.effects) else _refit(fit, effects)
+    effects = list(fit.problem.effects)
+    begins = np.cumsum([fit.problem.num_psi, *(e.size for e in effects)])
+    own = np.arange(begins[i], begins[i + 1])
+    order = np.concatenate([np.setdiff1d(np.arange(fit.problem.size), own), own])
+    problem = fit.problem.with_effects([e for k, e in enumerate(effects) if k != i] + [effects[i]])
+    lin = fit.linear
+    point = Point(lin.point.z[order], lin.point.start)
+    moved = replace(lin, problem=problem, point=point, columns=lin.columns[..., order])
+    return summarize(moved, True, fit.converged)
 
 
 def _prune(fit: Fit, needed: float) -> Fit:
