@@ -15,6 +15,12 @@ from det2stoc_bayes.segments import TIME_SLACK
 _BAD_STATE = [int(getattr(mujoco.mjtWarning, f"mjWARN_BADQ{x}")) for x in ("POS", "VEL", "ACC")]
 _STATE = mujoco.mjtState
 _SET_CONST_INPUTS = frozenset(mujoco.MjModel._setconst_inputs)
+# Floating-point fields that mj_setConst derives; structure (indices, names of parents) does not change with values.
+_SET_CONST_OUTPUTS = (
+    "actuator_acc0", "actuator_length0", "body_invweight0", "body_subtreemass", "dof_M0", "dof_invweight0",
+    "dof_length", "eq_data", "tendon_invweight0", "tendon_length0",
+)  # fmt: skip
+FEWER = 4  # times fewer different values than simulations: then each is derived once
 
 
 class Chunk:
@@ -83,7 +89,26 @@ class Chunk:
             ).items():
                 fields[name][effect.rows] = value
         if any(name in _SET_CONST_INPUTS for name in fields):
+            self._set_const()
+
+    def _set_const(self) -> None:
+        """What MuJoCo derives from the fields, once for each of their different values."""
+        inputs = [name for name in self.fields if name in _SET_CONST_INPUTS]
+        rows = np.concatenate([self.fields[name].reshape(self.count, -1) for name in inputs], 1)
+        _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        if len(first) > self.count // FEWER:
             self.batch.set_const()
+            return
+        few = mujoco.batch.Batch(self.model, len(first), 1)
+        for name in inputs:
+            few.expand(name)[:] = self.fields[name][first]
+        few.set_const()
+        models = [few.get_model(i) for i in range(len(first))]
+        for name in _SET_CONST_OUTPUTS:
+            values = np.stack([np.array(getattr(m, name)) for m in models])
+            if (values != np.array(getattr(self.model, name))).any():
+                out = self.batch.expand(name)
+                out[:] = values.reshape(len(first), *out.shape[1:])[np.ravel(inverse)]
 
     def _commands(self) -> Float[np.ndarray, "sims steps ctrl"]:
         """What arrives at the actuators at every step, and at the one after the last."""

@@ -7,12 +7,13 @@ import numpy as np
 
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence
+from det2stoc_bayes.mismatch.evidence import confirms, effective_share, left_out_density, log_evidence
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.screen import Screened, screen
 from det2stoc_bayes.optimize import Fit, fit_many, summarize
 
-NUM_REFINED = 6
+NUM_REFINED = 5
+NUM_OTHERS = 3
 PROMISING = 0.3  # of the best screened evidence: what earns less is not refined
 RACE = 50.0  # nats behind the best after two iterations at which a candidate is no longer refined
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
@@ -66,8 +67,19 @@ def look(base: Fit, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
     screened = screen(base, pool, advance)
     best = screened[0].log_evidence if screened else 0.0
     least = max(PROMISING * best, threshold(len(pool)) / 3)
-    worth = [s for s in screened[:NUM_REFINED] if s.log_evidence > least]
+    worth = _shortlist([s for s in screened if s.log_evidence > least])
     return Slot(base, tuple(screened), tuple(refine(base, worth, progress)))
+
+
+def _shortlist(worth: Sequence[Screened]) -> list[Screened]:
+    """The best, and the best of effects that are not among them: the same law on other elements crowds others out."""
+    first = list(worth[:NUM_REFINED])
+    names = {s.placed.effect.name for s in first}
+    for s in worth[NUM_REFINED:]:
+        if s.placed.effect.name not in names and len(first) < NUM_REFINED + NUM_OTHERS:
+            first.append(s)
+            names.add(s.placed.effect.name)
+    return first
 
 
 def refine(base: Fit, worth: Sequence[Screened], progress: Progress) -> list[Ranked]:
@@ -96,9 +108,16 @@ def refine(base: Fit, worth: Sequence[Screened], progress: Progress) -> list[Ran
     fits = [better.get(id(f), f) for f in fits]
     progress("refining the best", len(worth), len(worth))
     share = effective_share(min(fits, key=lambda f: f.chi2))
-    before = log_evidence(base, share)
-    ranked = (Ranked(f.problem.effects[-1], f, log_evidence(f, share) - before) for f in fits)
+    ranked = (Ranked(f.problem.effects[-1], f, gain(base, f, share)) for f in fits)
     return sorted(ranked, key=lambda r: -r.gain)
+
+
+def gain(base: Fit, fit: Fit, share: float) -> float:
+    """Evidence that an addition earns, and no more than recordings that are left out confirm, nats."""
+    earned = log_evidence(fit, share) - log_evidence(base, share)
+    if not confirms(base) or base.problem.segments.count != fit.problem.segments.count:
+        return earned
+    return min(earned, share * (left_out_density(fit) - left_out_density(base)))
 
 
 def _tolerance(fit: Fit) -> float:
@@ -139,7 +158,7 @@ def _judge(final: Fit, i: int, pool: Sequence[PlacedEffect], progress: Progress)
     base = without(final, i)
     slot = look(base, pool, progress)
     own = Ranked(final.problem.effects[i], _reordered(final, i), 0.0)
-    own = replace(own, gain=log_evidence(own.fit, effective_share(final)) - log_evidence(base, effective_share(final)))
+    own = replace(own, gain=gain(base, own.fit, effective_share(final)))
     rest = [r for r in slot.ranked if r.placed != own.placed]
     return replace(slot, ranked=tuple(sorted([own, *rest], key=lambda r: -r.gain)))
 
@@ -199,6 +218,6 @@ def _prune(fit: Fit, needed: float) -> Fit:
     for placed in fit.problem.effects[:-1]:
         rest = tuple(e for e in fit.problem.effects if e != placed)
         lean, share = _refit(fit, rest), effective_share(fit)
-        if log_evidence(fit, share) - log_evidence(lean, share) < needed:
+        if gain(lean, fit, share) < needed:
             fit = lean
     return fit

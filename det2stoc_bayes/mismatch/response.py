@@ -16,12 +16,13 @@ from jaxtyping import Float
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.engines.layout import integrate_positions, position_difference
 from det2stoc_bayes.linearization import START_STEP
-from det2stoc_bayes.mismatch.effects.base import JointState, PlacedEffect
+from det2stoc_bayes.mismatch.effects.base import Effect, Element, JointState, PlacedEffect, Typical
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import merge_requests
 from det2stoc_bayes.segments import from_pieces
 
 NUM_INSIDE = 8  # points of an interval at which a force is averaged
+COMMAND_STEP = 1e-3  # of a unit of the command: what follows is linear, or too stiff to see
 FORCE_STEP = 1e-3  # of the force that would change the speed by its own spread in one interval
 
 
@@ -82,7 +83,7 @@ class Response:
         a = np.moveaxis(state[1:] - state[0], 0, -1) / steps
         c = np.moveaxis(column[1:] - column[0], 0, -1) / steps
         self.a, self.c = self._spread(np.nan_to_num(a)), self._spread(np.nan_to_num(c))
-        self._forces = None
+        self._units: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {}
 
     def _moved(self, change: np.ndarray) -> Start:
         nv, model = self.problem.simulator.model.nv, self.problem.simulator.model
@@ -106,20 +107,47 @@ class Response:
             self._spread(np.moveaxis(column - self._column, 0, -1)),
         )
 
+    def commanded(
+        self, at: Element, effect: Effect, trials: Sequence[Mapping[str, float]]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of what an effect makes of an actuator's commands, as the mean change over each interval."""
+        problem, ctrl = self.problem, at.ctrl
+        dt = problem.timestep or float(problem.simulator.model.opt.timestep)
+        values = problem.effect_values(self.point.z[None])
+        there = [
+            (p.effect, {n: np.asarray(v) for n, v in v.items()})
+            for p, v in zip(problem.effects, values, strict=True)
+            if p.effect.uses("control") and p.element.ctrl == ctrl
+        ]
+        tried = [{n: np.array([v]) for n, v in t.items()} for t in trials]
+        longest = max(e.memory(p) for e, p in [*there, *((effect, p) for p in tried)])
+        before = int(np.ceil(longest / dt)) + 2
+        segments = problem.segments
+        u = segments.commands(np.arange(segments.count), dt, int(segments.steps(dt).max()) + 1, before)[..., ctrl]
+        time = segments.time[:, :1] + (np.arange(u.shape[1]) - before) * dt
+        for e, p in there:
+            u = e.control(p, u, time, dt, np)
+        change = np.stack([effect.control(p, u, time, dt, np) - u for p in tried], -1)[:, before:]
+        total = np.concatenate([np.zeros_like(change[:, :1]), np.cumsum(change, 1)], 1)
+        edges = np.rint((segments.time - segments.time[:, :1]) / dt).astype(int)
+        whole = np.take_along_axis(total, edges[..., None], 1)
+        mean = np.diff(whole, axis=1) / np.maximum(np.diff(edges, axis=1), 1)[..., None]
+        b, d = self._unit_response(("ctrl", ctrl), _unit_command(at), COMMAND_STEP)
+        return b[..., None] * mean[:, :, None], d[..., None] * mean[:, :, None]
+
     def forced(self, dof: int, forces: Float[np.ndarray, "S K columns"]) -> tuple[np.ndarray, np.ndarray]:
         """d and e of generalized forces on one degree of freedom, held over each interval."""
-        b, d = self._force_response(dof)
+        scale = float(self.problem.guess.scale[self.problem.simulator.model.nv + dof])
+        b, d = self._unit_response(("dof", dof), _unit_force(dof), FORCE_STEP * scale)
         return b[..., None] * forces[:, :, None], d[..., None] * forces[:, :, None]
 
-    def _force_response(self, dof: int):
-        if self._forces is None:
-            self._forces = {}
-        if dof not in self._forces:
-            probe = _unit_force(dof)
-            step = FORCE_STEP * float(self.problem.guess.scale[self.problem.simulator.model.nv + dof])
-            d, e = self.defects([(probe, {"force": step})])
-            self._forces[dof] = d[..., 0] / step, e[..., 0] / step
-        return self._forces[dof]
+    def _unit_response(self, key: tuple[str, int], probe: PlacedEffect, step: float) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of one unit of a probe's parameter, by a small step."""
+        if key not in self._units:
+            name = probe.effect.parameters[0].name
+            d, e = self.defects([(probe, {name: step})])
+            self._units[key] = d[..., 0] / step, e[..., 0] / step
+        return self._units[key]
 
     def joint_states(self, qpos: int, dof: int) -> JointState:
         """Position, speed and time at points inside every interval (S, K, points), by cubic Hermite."""
@@ -148,6 +176,12 @@ class Response:
 
 
 def _unit_force(dof: int) -> PlacedEffect:
-    from det2stoc_bayes.mismatch.effects import CATALOGUE, Element, Typical
+    from det2stoc_bayes.mismatch.effects import CATALOGUE
 
     return PlacedEffect(CATALOGUE["constant_force"], Element("joint", f"dof {dof}", dof=dof, qpos=0), Typical())
+
+
+def _unit_command(at: Element) -> PlacedEffect:
+    from det2stoc_bayes.mismatch.effects import CATALOGUE
+
+    return PlacedEffect(CATALOGUE["actuator_bias"], at, Typical())

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import EffectRows
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
+from det2stoc_bayes.mismatch.evidence import confirms, left_out_chi2, left_out_density, profile
 from det2stoc_bayes.mismatch.response import Response
 from det2stoc_bayes.optimize import Fit, noise_scale
 from det2stoc_bayes.problem import merge_requests
@@ -34,11 +35,12 @@ def screen(
 
     With the fit's own columns beside a trial's, an effect that psi can absorb earns nothing.
     """
+    base = left_out_density(fit) if confirms(fit) else None
     best: dict[PlacedEffect, Screened] = {}
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
     for placed, trial, columns in responses(fit, new, advance):
-        found = _judge(fit, placed, trial, columns)
+        found = _judge(fit, placed, trial, columns, base)
         if found is not None and (placed not in best or found.log_evidence > best[placed].log_evidence):
             best[placed] = found
     return sorted(best.values(), key=lambda s: -s.log_evidence)
@@ -67,6 +69,8 @@ def responses(fit: Fit, candidates, advance) -> Iterator[tuple[PlacedEffect, Tri
                         -1,
                     )
                     parts.append(response.propagate(*response.forced(at.dof, force)))
+                elif effect.uses("control"):
+                    parts.append(response.propagate(*response.commanded(at, effect, some)))
                 else:
                     parts.append(response.propagate(*response.defects([(placed, t) for t in some])))
             columns = iter(np.moveaxis(np.concatenate(parts, -1), -1, 0))
@@ -88,16 +92,19 @@ def _recorded(fit: Fit, placed: PlacedEffect, trials: Sequence[Trial]) -> list[n
     return [np.stack([next(columns) for _ in trial.columns], -1) for trial in trials]
 
 
-def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray) -> Screened | None:
-    """Closed-form evidence of [current unknowns, trial coefficients] against the current unknowns alone."""
+def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray, base: float | None) -> Screened | None:
+    """Closed-form evidence of [current unknowns, trial coefficients] against the current unknowns alone.
+
+    `base` is the log density of recordings left out under the current fit; None where it has no say.
+    """
     if not np.isfinite(columns).all():
         return None
     lin = fit.linear
     x = lin.latent.project(lin.latent.stack(columns))
     j, r = lin.latent.project(lin.columns), lin.latent.project(lin.stacked)[..., 0]
     both = np.concatenate([j, x], -1)
-    gram = np.einsum("snk,snl->kl", both, both)
-    slope = np.einsum("snk,sn->k", both, r)
+    by_segment = np.swapaxes(both, 1, 2) @ both, np.einsum("snk,sn->sk", both, r)
+    gram, slope = (part.sum(0) for part in by_segment)
     d, k = lin.problem.size, columns.shape[-1]
     s2 = fit.noise_scale
     # Residuals were taken at the fit's optimum, where the prior pulls by -z.
@@ -116,9 +123,8 @@ def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray) ->
         np.linalg.slogdet(precision)[1] - np.linalg.slogdet(np.linalg.inv(fit.covariance))[1] - np.log(prior[d:]).sum()
     )
     log_evidence = profile(fit.chi2, fit.noise_scale, n) - profile(chi2, s2, n) - 0.5 * penalty - 0.5 * float(occam)
+    if base is not None:  # what recordings left out do not confirm is not worth more than that
+        owner, square = lin.problem.segments.recording, (r**2).sum(1)
+        left_out = left_out_chi2(*by_segment, square, owner, pull, prior, s2)
+        log_evidence = min(log_evidence, -profile(left_out, max(1.0, left_out / n), n) - base)
     return Screened(placed, trial, float(log_evidence), fit.chi2 - chi2, step[d:], step[:d])
-
-
-def profile(chi2: float, s2: float, n: int) -> float:
-    """Negative log likelihood of a whitened misfit under noise widened by s2, up to a constant."""
-    return 0.5 * n * np.log(s2) + 0.5 * chi2 / s2
