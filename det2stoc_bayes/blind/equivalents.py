@@ -16,7 +16,7 @@ from det2stoc_bayes.blind.refit import linear_share, refit
 
 Accepted = dict[str, Any]
 NATS = 1.0  # of log likelihood over the whole study: what less than this tells apart is the same
-WORTH_A_REFIT = 0.7  # share of the RMS that may remain to first order
+WORTH_A_REFIT = 0.8  # share of the RMS that may remain to first order
 IMITATORS = (
     # steady pushes and where things hang
     "constant_force actuator_bias sensor_bias gravity_tilt joint_spring com_offset payload_mass",
