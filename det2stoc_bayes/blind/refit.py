@@ -21,10 +21,11 @@ ENOUGH = 0.05  # an iteration that lowers the squares by a smaller share is the 
 
 @dataclass(frozen=True)
 class Refit:
-    """RMS in noise sds that remains, and the rival effects at their best parameters."""
+    """RMS in noise sds that remains, the rival effects at their best parameters, and all unknowns there."""
 
     left: float
-    rivals: tuple[Effect, ...] = ()
+    rivals: tuple[Effect, ...]
+    z: np.ndarray
 
 
 def refit(
@@ -57,7 +58,7 @@ def refit(
         z, best, damping = trial, reached, max(damping / 30.0, 1e-10)
         if gain < ENOUGH or np.sqrt(np.mean(best**2)) <= enough:
             break
-    return Refit(float(np.sqrt(np.mean(best**2))), tuple(problem.effects(z)))
+    return Refit(float(np.sqrt(np.mean(best**2))), tuple(problem.effects(z)), z)
 
 
 def absorbable(probe: Probe) -> np.ndarray:
@@ -76,18 +77,18 @@ def beside(basis: np.ndarray, probe: Probe, changed: Sequence[np.ndarray]) -> fl
 
 
 def linear_share(probe: Probe, truths: Sequence[np.ndarray], rivals: Sequence[Effect]) -> list[float]:
-    """For each rival the share of RMS that remains beside psi and the initial states alone, to first order.
+    """For each rival the share of what a refit without it leaves that remains with it, to first order from there.
 
-    Small effects are assumed: it is for telling which rivals are worth a refit.
+    It tells which rivals are worth a refit of their own.
     """
-    basis = absorbable(probe)
     alone = _Problem(probe, truths, (), None)
-    target = alone.residual(alone.initial)
+    z = refit(probe, truths).z
+    basis, target = np.linalg.qr(alone.jacobian(z))[0], alone.residual(z)
     target = target - basis @ (basis.T @ target)
     result = []
     for rival in rivals:
         problem = _Problem(probe, truths, (rival,), None)
-        columns = problem.sensitivities(problem.initial)
+        columns = problem.sensitivities(np.concatenate((z, problem.initial[z.size :])))
         columns = columns - basis @ (basis.T @ columns)
         sizes = np.linalg.norm(columns, axis=0)
         columns = columns[:, sizes > 1e-6 * max(sizes.max(), 1e-300)]

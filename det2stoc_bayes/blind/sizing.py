@@ -11,6 +11,7 @@ from det2stoc_bayes.blind.reality import simulate_believed
 from det2stoc_bayes.blind.refit import absorbable, beside, refit
 
 SMALLEST, LARGEST = 3.0, 30.0  # RMS in noise sds that remains of an effect after a refit, drawn log-uniformly
+FIRST_ORDER = 0.03  # of a slight effect's change: where less remains, psi is the same thing
 WITHIN = 0.1  # of the wanted size, relatively
 REFITS, TRIALS = 3, 10  # at most, for one size
 KEPT = 1.5  # RMS in noise sds that the other effect of a pair must leave of each
@@ -57,6 +58,9 @@ def find(
         changed = probe.with_effects(effect)
         return effect, changed, beside(basis, probe, changed)
 
+    _, slight, left = trial(0.01 * largest)
+    if left < FIRST_ORDER * probe.change(slight):
+        return None
     for _ in range(REFITS):
         tuned = _tune(trial, largest, goal)
         if tuned is None:

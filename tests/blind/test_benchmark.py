@@ -55,7 +55,7 @@ def test_an_interrupted_run_goes_on(bench, monkeypatch):
 
 def test_a_diagnosis_sees_the_study_alone_and_its_end_is_told(bench, monkeypatch, tmp_path):
     script = tmp_path / "python"
-    body = "import json,os,sys,pathlib; out=pathlib.Path(sys.argv[5]); out.mkdir(); study=pathlib.Path(sys.argv[3]);"
+    body = "import json,os,sys,pathlib; out=pathlib.Path(sys.argv[6]); out.mkdir(); study=pathlib.Path(sys.argv[4]);"
     body += "found=sorted(p.name for p in study.iterdir()); around=sorted(p.name for p in study.parent.iterdir());"
     body += "(out/'diagnosis.json').write_text(json.dumps({'verdict':'no_mismatch','found':found,'around':around}))"
     script.write_text(f'#!/bin/sh\nexec {sys.executable} -c "{body}" "$@"\n')

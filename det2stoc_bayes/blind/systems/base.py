@@ -63,8 +63,8 @@ class Psi:
 
 
 def write_field(model: mujoco.MjModel, target: str, value: float, index: int | None = None) -> None:
-    """Set kind/name/field of a model to a value."""
-    kind, name, field = target.split("/")
+    """Set kind/name/field, or opt/field, of a model to a value."""
+    kind, *middle, field = target.split("/")
     if kind == "opt":
         entry = getattr(model.opt, field)
         if index is None:
@@ -72,7 +72,7 @@ def write_field(model: mujoco.MjModel, target: str, value: float, index: int | N
         else:
             entry[index] = value
         return
-    row = getattr(model, kind)(name).id
+    row = getattr(model, kind)(middle[0]).id
     if kind == "joint" and field in _DOF_FIELDS:
         row, array = model.jnt_dofadr[row], getattr(model, f"dof_{field}")
     else:
