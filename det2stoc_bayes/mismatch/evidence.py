@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from det2stoc_bayes.optimize import Fit
 
@@ -51,44 +51,6 @@ def log_evidence(fit: Fit, share: float = 1.0) -> float:
         - 0.5 * float(lin.point.z @ lin.point.z)
         + 0.5 * log_det(widened(fit, share))
     )
-
-
-def left_out_chi2(
-    gram: Float[np.ndarray, "segments k k"],
-    slope: Float[np.ndarray, "segments k"],
-    square: Float[np.ndarray, " segments"],
-    owner: Int[np.ndarray, " segments"],
-    pull: Float[np.ndarray, " k"],
-    prior: Float[np.ndarray, " k"],
-    s2: float,
-) -> float:
-    """Whitened squared error of every recording under unknowns that were fitted to the others, to first order.
-
-    gram, slope and square are J'J, J'r and r'r about a point; the prior has precision `prior` and gradient `pull`
-    there. What one recording alone would like, others that are left out do not confirm.
-    """
-    total = 0.0
-    every_gram, every_slope = gram.sum(0), slope.sum(0)
-    for r in np.unique(owner):
-        mine = owner == r
-        g, b = gram[mine].sum(0), slope[mine].sum(0)
-        step = np.linalg.solve((every_gram - g) / s2 + np.diag(prior), (every_slope - b) / s2 + pull)
-        total += float(square[mine].sum()) - 2 * float(b @ step) + float(step @ g @ step)
-    return max(total, 1e-9)
-
-
-def left_out_density(fit: Fit) -> float:
-    """Log density of recordings left out in turn, the noise scale profiled, up to a common constant."""
-    gram, slope, square = fit.linear.gram()
-    n, z = fit.linear.degrees_of_freedom, fit.point.z
-    owner = fit.problem.segments.recording
-    chi2 = left_out_chi2(gram, slope, square, owner, -z, np.ones(len(z)), fit.noise_scale)
-    return -profile(chi2, max(1.0, chi2 / n), n)
-
-
-def confirms(fit: Fit) -> bool:
-    """Whether recordings are left out to judge additions: under model error in-sample evidence favours flexibility."""
-    return fit.noise_inflation > MODEL_ERROR and len(np.unique(fit.problem.segments.recording)) > 1
 
 
 def profile(chi2: float, s2: float, n: int) -> float:

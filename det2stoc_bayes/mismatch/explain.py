@@ -4,16 +4,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import confirms, effective_share, left_out_density, log_evidence
+from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence
 from det2stoc_bayes.mismatch.horizon import extend
+from det2stoc_bayes.mismatch.pairs import pairs
 from det2stoc_bayes.mismatch.screen import Screened, screen
 from det2stoc_bayes.optimize import Fit, fit_many, summarize
+from det2stoc_bayes.problem import Problem
 
 NUM_REFINED = 5
 NUM_OTHERS = 3
+NUM_PAIRS = 4
 PROMISING = 0.3  # of the best screened evidence: what earns less is not refined
 RACE = 50.0  # nats behind the best after two iterations at which a candidate is no longer refined
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
@@ -87,16 +91,50 @@ def refine(base: Fit, worth: Sequence[Screened], progress: Progress) -> list[Ran
 
     After a few iterations only those that are still in the race go on.
     """
-    points = []
-    for s in worth:
-        values = s.placed.effect.combine(s.trial, s.coefficients, s.placed.typical)
-        z = np.concatenate([base.point.z + s.change, s.placed.effect.to_normal(values, s.placed.typical)])
-        problem = base.problem.with_effects((*base.problem.effects, s.placed))
-        points.append((problem, Point(z, base.point.start)))
+    progress("refining the best", 0, len(worth))
+    points = [_added(base, s.change, [(s, s.coefficients)]) for s in worth]
+    fits = race(base, points)
+    progress("refining the best", len(worth), len(worth))
+    if not fits:
+        return []
+    share = effective_share(min(fits, key=lambda f: f.chi2))
+    ranked = (Ranked(f.problem.effects[-1], f, gain(base, f, share)) for f in fits)
+    return sorted(ranked, key=lambda r: -r.gain)
+
+
+def refine_pairs(base: Fit, screened: Sequence[Screened], least: float) -> Fit | None:
+    """The best fit with two additions at once, if its screening promises more than `least` nats."""
+    worth = [p for p in pairs(base, screened)[:NUM_PAIRS] if p.log_evidence > least]
+    points = [_added(base, p.change, list(zip(p.members, p.coefficients, strict=True))) for p in worth]
+    fits = race(base, points)
+    if not fits:
+        return None
+    share = effective_share(min(fits, key=lambda f: f.chi2))
+    return max(fits, key=lambda f: gain(base, f, share))
+
+
+def _added(
+    base: Fit, change: Float[np.ndarray, " size"], added: Sequence[tuple[Screened, Float[np.ndarray, " columns"]]]
+) -> tuple[Problem, Point]:
+    """The hypothesis with screened additions, where screening puts it."""
+    z = [base.point.z + change]
+    for s, coefficients in added:
+        values = s.placed.effect.combine(s.trial, coefficients, s.placed.typical)
+        z.append(s.placed.effect.to_normal(values, s.placed.typical))
+    problem = base.problem.with_effects((*base.problem.effects, *(s.placed for s, _ in added)))
+    return problem, Point(np.concatenate(z), base.point.start)
+
+
+def race(base: Fit, points: Sequence[tuple[Problem, Point]]) -> list[Fit]:
+    """Fits of several hypotheses; after a few iterations only those that are still in the race go on."""
     if not points:
         return []
-    progress("refining the best", 0, len(worth))
-    fits = [f for f in fit_many(points, max_iterations=2, tolerance=_tolerance(base)) if f is not None and _allowed(f)]
+    first = len(base.problem.effects)
+    fits = [
+        f
+        for f in fit_many(points, max_iterations=2, tolerance=_tolerance(base))
+        if f is not None and _allowed(f, first)
+    ]
     if not fits:
         return []
     share = effective_share(min(fits, key=lambda f: f.chi2))
@@ -104,20 +142,13 @@ def refine(base: Fit, worth: Sequence[Screened], progress: Progress) -> list[Ran
     racing = [f for f in fits if log_evidence(f, share) > top - RACE and not f.converged]
     on = [(f.problem, f.point) for f in racing]
     further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
-    better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None and _allowed(g)}
-    fits = [better.get(id(f), f) for f in fits]
-    progress("refining the best", len(worth), len(worth))
-    share = effective_share(min(fits, key=lambda f: f.chi2))
-    ranked = (Ranked(f.problem.effects[-1], f, gain(base, f, share)) for f in fits)
-    return sorted(ranked, key=lambda r: -r.gain)
+    better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None and _allowed(g, first)}
+    return [better.get(id(f), f) for f in fits]
 
 
 def gain(base: Fit, fit: Fit, share: float) -> float:
-    """Evidence that an addition earns, and no more than recordings that are left out confirm, nats."""
-    earned = log_evidence(fit, share) - log_evidence(base, share)
-    if not confirms(base) or base.problem.segments.count != fit.problem.segments.count:
-        return earned
-    return min(earned, share * (left_out_density(fit) - left_out_density(base)))
+    """Evidence that an addition earns, nats."""
+    return log_evidence(fit, share) - log_evidence(base, share)
 
 
 def _tolerance(fit: Fit) -> float:
@@ -125,10 +156,15 @@ def _tolerance(fit: Fit) -> float:
     return SETTLED / effective_share(fit)
 
 
-def _allowed(fit: Fit) -> bool:
-    placed = fit.problem.effects[-1]
-    values = fit.problem.effect_values(fit.point.z[None])[-1]
-    return all(float(values[p.name][0]) > p.absent for p in placed.effect.parameters if p.positive)
+def _allowed(fit: Fit, first: int) -> bool:
+    """Whether the effects from `first` on have the signs that they must have."""
+    values = fit.problem.effect_values(fit.point.z[None])[first:]
+    return all(
+        (np.asarray(v[p.name]) > p.absent).all()
+        for e, v in zip(fit.problem.effects[first:], values, strict=True)
+        for p in e.effect.parameters
+        if p.positive
+    )
 
 
 def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None) -> Explanation:
@@ -137,9 +173,11 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
     for _ in range(MAX_EFFECTS):
         slot = look(current, pool, progress)
         first = slot if first is None else first
-        if not slot.ranked or slot.ranked[0].gain < needed:
+        best = slot.ranked[0] if slot.ranked else None
+        both = _together(current, slot, needed) if len(current.problem.effects) + 2 <= MAX_EFFECTS else None
+        if both is None and (best is None or best.gain < needed):
             break
-        current = extend(slot.ranked[0].fit)
+        current = extend(both or best.fit)  # type: ignore[union-attr]
     assert first is not None
     if len(current.problem.effects) == 0:
         return Explanation(before, before, (first,), len(pool), 1.0)
@@ -151,6 +189,18 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
     before = before if same else _refit(current, ())
     slots = tuple(_judge(current, i, pool, progress) for i in range(len(current.problem.effects)))
     return Explanation(before, current, slots, len(pool), effective_share(current))
+
+
+def _together(base: Fit, slot: Slot, needed: float) -> Fit | None:
+    """A fit with two additions, if it earns more than the best single one and a second of its own."""
+    alone = slot.ranked[0] if slot.ranked else None
+    screened = slot.screened[0].log_evidence if slot.screened else 0.0
+    found = refine_pairs(base, slot.screened, max(screened, 0.0) + needed)
+    if found is None:
+        return None
+    share = effective_share(found)
+    better = gain(base, found, share) - (max(gain(base, alone.fit, share), 0.0) if alone else 0.0)
+    return found if better > needed else None
 
 
 def _judge(final: Fit, i: int, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:

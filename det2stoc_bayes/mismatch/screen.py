@@ -8,11 +8,12 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import EffectRows
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
-from det2stoc_bayes.mismatch.evidence import confirms, left_out_chi2, left_out_density, profile
+from det2stoc_bayes.mismatch.evidence import profile
 from det2stoc_bayes.mismatch.response import Response
 from det2stoc_bayes.optimize import Fit, noise_scale
 from det2stoc_bayes.problem import merge_requests
 
+WRONG_SIGN = -0.69  # nats of a candidate whose coefficient has a sign that it cannot have
 MAX_COLUMNS = 128  # responses held at once
 
 
@@ -26,6 +27,12 @@ class Screened:
     gain: float  # drop of whitened squared residual
     coefficients: Float[np.ndarray, " columns"]
     change: Float[np.ndarray, " size"]  # of the current unknowns, when the trial is added
+    response: Float[np.ndarray, "segments stacked columns"] | None = None  # what no initial state explains of it
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether a negative coefficient is no effect."""
+        return self.placed.effect.parameters[0].positive or self.trial.one_sided
 
 
 def screen(
@@ -35,12 +42,11 @@ def screen(
 
     With the fit's own columns beside a trial's, an effect that psi can absorb earns nothing.
     """
-    base = left_out_density(fit) if confirms(fit) else None
     best: dict[PlacedEffect, Screened] = {}
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
     for placed, trial, columns in responses(fit, new, advance):
-        found = _judge(fit, placed, trial, columns, base)
+        found = _judge(fit, placed, trial, columns)
         if found is not None and (placed not in best or found.log_evidence > best[placed].log_evidence):
             best[placed] = found
     return sorted(best.values(), key=lambda s: -s.log_evidence)
@@ -92,19 +98,16 @@ def _recorded(fit: Fit, placed: PlacedEffect, trials: Sequence[Trial]) -> list[n
     return [np.stack([next(columns) for _ in trial.columns], -1) for trial in trials]
 
 
-def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray, base: float | None) -> Screened | None:
-    """Closed-form evidence of [current unknowns, trial coefficients] against the current unknowns alone.
-
-    `base` is the log density of recordings left out under the current fit; None where it has no say.
-    """
+def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray) -> Screened | None:
+    """Closed-form evidence of [current unknowns, trial coefficients] against the current unknowns alone."""
     if not np.isfinite(columns).all():
         return None
     lin = fit.linear
     x = lin.latent.project(lin.latent.stack(columns))
     j, r = lin.latent.project(lin.columns), lin.latent.project(lin.stacked)[..., 0]
     both = np.concatenate([j, x], -1)
-    by_segment = np.swapaxes(both, 1, 2) @ both, np.einsum("snk,sn->sk", both, r)
-    gram, slope = (part.sum(0) for part in by_segment)
+    gram = np.einsum("snk,snl->kl", both, both)
+    slope = np.einsum("snk,sn->k", both, r)
     d, k = lin.problem.size, columns.shape[-1]
     s2 = fit.noise_scale
     # Residuals were taken at the fit's optimum, where the prior pulls by -z.
@@ -115,16 +118,13 @@ def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray, ba
         step = np.linalg.solve(precision, slope / s2 + pull)
         chi2 = fit.chi2 - 2 * float(slope @ step) + float(step @ gram @ step)
         s2 = noise_scale(lin, max(chi2, 1e-9), True)
-    if (placed.effect.parameters[0].positive or trial.one_sided) and k == 1 and step[d] < 0:
-        return Screened(placed, trial, -0.69, 0.0, np.zeros(k), np.zeros(d))
+    found = Screened(placed, trial, WRONG_SIGN, fit.chi2 - chi2, np.zeros(k), np.zeros(d), x)
+    if found.one_sided and k == 1 and step[d] < 0:
+        return found
     n = lin.degrees_of_freedom
     penalty = float((prior[d:] * step[d:] ** 2).sum()) + float(((lin.point.z + step[:d]) ** 2 - lin.point.z**2).sum())
     occam = (
         np.linalg.slogdet(precision)[1] - np.linalg.slogdet(np.linalg.inv(fit.covariance))[1] - np.log(prior[d:]).sum()
     )
     log_evidence = profile(fit.chi2, fit.noise_scale, n) - profile(chi2, s2, n) - 0.5 * penalty - 0.5 * float(occam)
-    if base is not None:  # what recordings left out do not confirm is not worth more than that
-        owner, square = lin.problem.segments.recording, (r**2).sum(1)
-        left_out = left_out_chi2(*by_segment, square, owner, pull, prior, s2)
-        log_evidence = min(log_evidence, -profile(left_out, max(1.0, left_out / n), n) - base)
-    return Screened(placed, trial, float(log_evidence), fit.chi2 - chi2, step[d:], step[:d])
+    return replace(found, log_evidence=float(log_evidence), coefficients=step[d:], change=step[:d])
