@@ -1,4 +1,4 @@
-"""Pareto-smoothed importance sampling on plain arrays (Vehtari et al., 2024), and weights that stack predictions."""
+"""Statistics of draws on plain arrays: Pareto-smoothed weights (Vehtari et al., 2024), standard errors, stacking."""
 
 from typing import Any
 
@@ -28,6 +28,22 @@ def smooth(log_weights: Float[np.ndarray, " draws"]) -> tuple[Float[np.ndarray, 
     smoothed, k_hat = stats.psislw(-log_weights[finite])
     out[finite] = smoothed - logsumexp(smoothed)
     return out, float(k_hat)
+
+
+def standard_errors(draws: Float[np.ndarray, "chain draw size"]) -> Float[np.ndarray, " size"]:
+    """Monte-Carlo standard errors of the means of chains."""
+    from arviz_stats.base import array_stats
+
+    stats: Any = array_stats
+    return np.array([float(stats.mcse(column, method="mean")) for column in np.moveaxis(draws, -1, 0)])
+
+
+def r_hats(draws: Float[np.ndarray, "chain draw size"]) -> Float[np.ndarray, " size"]:
+    """Rank-normalized split R-hat of each unknown: about 1 where chains agree."""
+    from arviz_stats.base import array_stats
+
+    stats: Any = array_stats
+    return np.array([float(stats.rhat(column)) for column in np.moveaxis(draws, -1, 0)])
 
 
 def stacking_weights(log_density: Float[np.ndarray, "recordings models"]) -> Float[np.ndarray, " models"]:

@@ -147,9 +147,7 @@ def _for_jax(function: LogDensity):
         return function(points.reshape(-1, points.shape[-1])).reshape(points.shape[:-1])
 
     def single(point):
-        return jax.pure_callback(
-            evaluate, jax.ShapeDtypeStruct((), point.dtype), point, vmap_method="broadcast_all"
-        )
+        return jax.pure_callback(evaluate, jax.ShapeDtypeStruct((), point.dtype), point, vmap_method="broadcast_all")
 
     return single
 

@@ -46,7 +46,7 @@ def test_two_modes():
         np.testing.assert_allclose(here.std(0), SD, rtol=0.12)
     assert moved.log_evidence == pytest.approx(0.0, abs=0.15)
     assert moved.tempering[-1] == 1.0 and all(np.diff((0.0, *moved.tempering)) > 0)
-    assert 0.05 < min(moved.acceptance)  # measured: 0.095; the walk's steps span both modes
+    assert min(moved.acceptance) > 0.05  # measured: 0.095; the walk's steps span both modes
 
 
 def test_banana_that_laplace_fails():
