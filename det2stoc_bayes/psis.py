@@ -7,8 +7,12 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-RELIABLE = 0.7  # of k-hat: beyond it weighted averages are not to be trusted
 LEAST_DRAWS = 25  # fewer have no tail to speak of
+
+
+def reliable(num_draws: int) -> float:
+    """k-hat beyond which weighted averages are not to be trusted: 0.7, less for few draws."""
+    return min(1.0 - 1.0 / np.log10(max(num_draws, 11)), 0.7)
 
 
 def smooth(log_weights: Float[np.ndarray, " draws"]) -> tuple[Float[np.ndarray, " draws"], float]:

@@ -19,11 +19,11 @@ from det2stoc_bayes.errors import SamplingFailed
 from det2stoc_bayes.mismatch.coordinates import Affine, Coordinates, Population
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.populations import freed
-from det2stoc_bayes.psis import RELIABLE, smooth
+from det2stoc_bayes.psis import reliable, smooth
 
 NUM_DRAWS = 1000
-BUDGET = 0.04  # of all simulations so far: what one belief may cost
-FEWEST, MOST = 256, 1024  # exact evaluations a round; powers of two, for Sobol's points
+BUDGET = 0.05  # of all simulation steps so far: what one belief may cost
+FEWEST, MOST = 128, 1024  # exact evaluations a round; powers of two, for Sobol's points
 DEGREES = 5  # of freedom of the proposal
 NUM_ROUNDS = 3  # of which the later ones adapt
 NUM_PARTICLES = 512
@@ -73,7 +73,7 @@ def believe(fit: Fit, share: float, seed: int, *, temper: Temper | None = None, 
     drawn = _Weighted(density, coordinates, seed)
     for k in range(NUM_ROUNDS):
         drawn.add(_budget(fit))
-        if drawn.k_hat < RELIABLE:
+        if drawn.k_hat < reliable(len(drawn.x)):
             return drawn.belief(own, "adapted" if k else "laplace+psis", num_draws)
     if temper is not None:
         try:
@@ -93,7 +93,9 @@ def with_chains(cheap: Belief, chains: Float[np.ndarray, "chain draw size"], eva
 
 def _budget(fit: Fit) -> int:
     """Evaluations a round, by what the diagnosis has simulated so far (not by time: a seed has one result)."""
-    allowed = BUDGET * fit.problem.simulator.counter.simulations / fit.problem.segments.count
+    problem, model = fit.problem, fit.problem.simulator.model
+    once = problem.segments.count * int(problem.segments.steps(problem.timestep or float(model.opt.timestep)).max())
+    allowed = BUDGET * problem.simulator.counter.steps / once
     return int(2 ** np.floor(np.log2(np.clip(allowed, FEWEST, MOST))))
 
 

@@ -10,7 +10,7 @@ from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.belief import Belief
 from det2stoc_bayes.mismatch.heldout import HeldOut, evaluate
 from det2stoc_bayes.optimize import Fit, fit_many
-from det2stoc_bayes.psis import RELIABLE, smooth
+from det2stoc_bayes.psis import reliable, smooth
 from det2stoc_bayes.segments import from_pieces
 
 TOLERANCE = 0.3  # nats
@@ -45,7 +45,7 @@ def checked(fit: Fit, held: HeldOut, belief: Belief) -> tuple[HeldOut, dict[str,
     if study.holdout or len(study.recordings) == 1:
         return held, {}, ()
     k = k_hats(belief)
-    doubtful = tuple(name for name, value in k.items() if value > RELIABLE)
+    doubtful = tuple(name for name, value in k.items() if value > reliable(len(belief.z)))
     if not doubtful:
         return held, k, ()
     again = {name: refitted_without(fit, name) for name in doubtful}
