@@ -1,7 +1,7 @@
 """Coordinates x in which the posterior about a fit is roughly standard normal, with the volume of the map to z."""
 
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +15,7 @@ WIDEST = 12.0  # |log sigma| steps beyond it overflow
 STEP = 1e-4  # relative: finite difference of a prior's quantile
 
 
+@runtime_checkable
 class Coordinates(Protocol):
     """A one-to-one map x -> z."""
 
