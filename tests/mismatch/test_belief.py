@@ -170,15 +170,16 @@ def test_particles_where_importance_sampling_fails(shaped):
     """A thin, bent ridge: y about x^2."""
 
     def ridge(x):
-        return stats.norm.logpdf(x[:, 0], 0, 2) + stats.norm.logpdf(x[:, 1], x[:, 0] ** 2, 0.02)
+        return stats.norm.logpdf(x[:, 0]) + stats.norm.logpdf(x[:, 1], x[:, 0] ** 2, 0.05)
 
     found, whitened = shaped(ridge)
     alone, drawn = believe(found, 1.0, 0), believe(found, 1.0, 0, temper=tempered)
     assert alone.method == "adapted" and alone.k_hat > reliable(alone.evaluations)
     assert drawn.method == "smc"
     x = whitened(drawn.z)
-    np.testing.assert_allclose((x[:, 1] - x[:, 0] ** 2).std(), 0.02, rtol=0.3)
-    assert x[:, 0].std() > 1.0
+    # Measured: 0.047 and 0.95.
+    np.testing.assert_allclose((x[:, 1] - x[:, 0] ** 2).std(), 0.05, rtol=0.2)
+    np.testing.assert_allclose(x[:, 0].std(), 1.0, rtol=0.2)
 
 
 # --- populations ----------------------------------------------------------------------------------
