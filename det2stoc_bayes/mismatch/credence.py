@@ -19,6 +19,7 @@ from det2stoc_bayes.psis import r_hats, stacking_weights, standard_errors
 
 MOST_ERRORS = 3.0  # Monte-Carlo standard errors by which means of the cheap and the exact way may differ
 SD_RATIO = (0.85, 1.18)
+MIXED = 1.05  # R-hat of chains that agree with each other
 Progress = Callable[[str, int, int], None]
 
 
@@ -136,9 +137,10 @@ def compared(name: str, cheap: Belief, chains: Float[np.ndarray, "chain draw siz
     ratios = cheap.z.std(0) / chains.std((0, 1))
     agree = (np.abs(means) < MOST_ERRORS) & (ratios > SD_RATIO[0]) & (ratios < SD_RATIO[1])
     unknowns = zip(cheap.density.problem.names, means.tolist(), ratios.tolist(), strict=True)
+    r_hat = float(r_hats(chains).max())
     return {
         "hypothesis": name,
-        "agree": bool(agree.all()),
-        "r_hat": float(r_hats(chains).max()),
+        "agree": bool(agree.all()) if r_hat < MIXED else None,  # chains that did not mix show nothing
+        "r_hat": r_hat,
         "unknowns": {n: {"mean_difference": m, "sd_ratio": r} for n, m, r in unknowns},
     }

@@ -36,6 +36,10 @@ def _draws(belief: Mapping[str, Any] | None) -> list[str]:
 def _exact(compared: list[Mapping[str, Any]] | None) -> list[str]:
     out = []
     for one in compared or []:
+        if one["agree"] is None:
+            r_hat = numbers.number(one["r_hat"], 3)
+            out.append(f"The chains of NUTS for {one['hypothesis']} did not mix (R-hat {r_hat}): no comparison.")
+            continue
         words = "agree" if one["agree"] else "differ"
         text = f"NUTS and the cheap draws of {one['hypothesis']} {words}"
         if one["unknowns"]:

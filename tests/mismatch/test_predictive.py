@@ -18,9 +18,7 @@ def push(model, data):
 
 
 def test_p_values_are_uniform_under_the_right_model(tmp_path):
-    p = [
-        check(fit(spring_problem(tmp_path / str(s), seed=s), free_scale=False), s).p_values for s in range(40)
-    ]
+    p = [check(fit(spring_problem(tmp_path / str(s), seed=s), free_scale=False), s).p_values for s in range(40)]
     for channel in np.transpose(p):
         assert stats.kstest(channel, "uniform").pvalue > 0.01
 
