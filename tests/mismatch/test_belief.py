@@ -193,7 +193,7 @@ def test_volume_of_a_population_s_coordinates(tmp_path):
     assert coordinates.size == own.problem.size == 6  # mu, sigma, three recordings, damping
     for x in np.random.default_rng(0).standard_normal((3, 6)):
         h = 1e-5
-        ends = [coordinates((x + s * h * np.eye(6)))[0] for s in (1, -1)]
+        ends = [coordinates(x + s * h * np.eye(6))[0] for s in (1, -1)]
         jacobian = (ends[0] - ends[1]) / (2 * h)
         assert coordinates(x[None])[1][0] == pytest.approx(np.linalg.slogdet(jacobian)[1], abs=1e-4)
 
