@@ -91,6 +91,7 @@ def fit(
 def diagnose(
     study: StudyFolder,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the report goes.", show_default=False)],
+    exact: Annotated[bool, typer.Option("--exact", help="Draw the final posteriors by NUTS, and compare.")] = False,
     seed: Seed = 0,
     as_json: Json = False,
     debug: Debug = False,
@@ -98,10 +99,9 @@ def diagnose(
     """Find and model what the simulator leaves out."""
     with _reporting(debug) as stages:
         _check_folder(out)
-        from det2stoc_bayes import tables
-        from det2stoc_bayes.mismatch.diagnose import diagnose as run
+        from det2stoc_bayes import tables, verbs
 
-        diagnosis = run(_load(study), seed=seed, progress=stages)
+        diagnosis = verbs.diagnose(_load(study), seed=seed, exact=exact, progress=stages)
         diagnosis.write(out)
     finding = diagnosis.finding
     _show(finding.model_dump(mode="json") if as_json else tables.finding_tables(finding), as_json)

@@ -31,14 +31,15 @@ class Density:
     start: Start
     latent: LatentStarts
     offset: Float[np.ndarray, "segments states"]  # guessed starts from the MAP's, in tangent coordinates
+    temper: float = 1.0  # power of the likelihood: below 1 where the model's error widens the noise
 
     @classmethod
-    def at(cls, fit: Fit) -> "Density":
-        """Frozen at a fit's starts and linearization; the noise is the problem's, not the widened one."""
+    def at(cls, fit: Fit, temper: float = 1.0) -> "Density":
+        """Frozen at a fit's starts and linearization; the noise is the problem's, its variance over `temper`."""
         linear, problem = fit.linear, fit.problem
         offset = linear.stacked[:, problem.weight.shape[1] :, 0] * linear.latent.prior_sd
-        precision = linear.gram()[0].sum(0) + np.eye(problem.size)
-        return cls(problem, fit.point.z, scale_of(precision), fit.point.start, linear.latent, offset)
+        precision = temper * linear.gram()[0].sum(0) + np.eye(problem.size)
+        return cls(problem, fit.point.z, scale_of(precision), fit.point.start, linear.latent, offset, temper)
 
     @property
     def size(self) -> int:
@@ -47,11 +48,11 @@ class Density:
 
     @cached_property
     def normalizer(self) -> Float[np.ndarray, " segments"]:
-        """The terms of `LatentStarts.log_normalizer`, one a segment."""
-        return self.latent.log_normalizers
+        """The terms of `LatentStarts.log_normalizer`, one a segment, tempered."""
+        return self.temper * self.latent.log_normalizers
 
     def projected(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "segments stacked points"]:
-        """Whitened residuals that no initial state explains; NaN where a simulation diverged."""
+        """Whitened residuals that no initial state explains, tempered; NaN where a simulation diverged."""
         problem, points = self.problem, len(z)
         predicted = problem.simulator.rollout(problem.request(z, repeat_start(self.start, points)))
         diverged = ~np.isfinite(predicted).all((1, 2))
@@ -60,7 +61,7 @@ class Density:
         columns = np.moveaxis(residuals.reshape(points, problem.segments.count, -1), 0, -1)
         columns = problem.measurement.bend(columns * problem.weight[..., None])
         offset = np.broadcast_to(self.offset[..., None], (*self.offset.shape, points))
-        return self.latent.project(self.latent.stack_whitened(columns, offset))
+        return np.sqrt(self.temper) * self.latent.project(self.latent.stack_whitened(columns, offset))
 
     def log_likelihood_by_segment(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points segments"]:
         """One term a segment; -inf where its simulation diverged."""

@@ -117,7 +117,7 @@ def mjx_terms(density: Density) -> Terms:
         r = residuals(predict(z), observed, problem.quaternions, jnp)
         bent = problem.measurement.bend(r * weight, jnp)[..., None]
         projected = latent.project(latent.stack_whitened(bent, offset, jnp), jnp)[..., 0]
-        value = normalizer - 0.5 * (projected**2).sum(1)
+        value = normalizer - 0.5 * density.temper * (projected**2).sum(1)
         value = jnp.where(jnp.isfinite(value), value, -jnp.inf)
         return jax.ops.segment_sum(value, rows, num_segments=count)
 

@@ -27,6 +27,10 @@ class MethodNotApplicable(Det2StocError):
     """An inference method needs something that the problem lacks."""
 
 
+class SamplingFailed(Det2StocError):
+    """A sampler did not reach its target."""
+
+
 def listing(names: Iterable[str], limit: int = 12) -> str:
     """Names for an error message, cut after `limit`."""
     names = list(names)

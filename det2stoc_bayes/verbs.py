@@ -9,7 +9,10 @@ from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
 
 if TYPE_CHECKING:
+    import numpy as np
     import xarray
+
+    from det2stoc_bayes.mismatch.diagnose import Diagnosis
 
 
 def fit(
@@ -30,3 +33,26 @@ def fit(
         options["progress"] = lambda done, total: progress("sampling", done, total)
     problem = make_problem(Simulator(study, engine))
     return run(problem, seed, num_samples=num_samples, **options)
+
+
+def diagnose(
+    study: Study,
+    *,
+    seed: int = 0,
+    exact: bool = False,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+) -> "Diagnosis":
+    """What the believed model leaves out; `exact` draws the final posteriors by NUTS and compares the cheap way."""
+    from det2stoc_bayes.mismatch.diagnose import diagnose as run
+
+    sampler = None
+    if exact:
+        from det2stoc_bayes.inference.nuts import draw as sampler
+    return run(study, seed=seed, progress=progress, temper=tempered, sampler=sampler)
+
+
+def tempered(log_first: Any, log_target: Any, particles: "np.ndarray", seed: int) -> "np.ndarray":
+    """Particles moved from one density to another by `inference.smc`, imported only where it is needed."""
+    from det2stoc_bayes.inference.smc import temper
+
+    return temper(log_first, log_target, particles, seed, num_moves=15, max_stages=40).particles

@@ -39,16 +39,20 @@ def numpy_random(key: jax.Array) -> np.random.Generator:
 
 
 def mode_of(problem: Problem) -> Expansion:
-    """The density's maximum with the MAP's initial states integrated out, and its shape there.
+    """The mode of a problem's density, the MAP's initial states integrated out, and its shape there."""
+    found = find_map(problem)
+    return mode_at(Density.at(freed(found) if problem.unknowns.varying else found))
+
+
+def mode_at(density: Density) -> Expansion:
+    """The density's maximum and its shape there.
 
     Where psi varies by recording the joint maximum is no place to start (a wide population of equal values): the
-    point where sigma's marginal is highest is taken, and sigma becomes an unknown.
+    point where sigma's marginal is highest, at which such a density is frozen, is taken.
     """
-    found = find_map(problem)
-    if problem.unknowns.varying:
-        density = Density.at(freed(found))
+    if density.problem.unknowns.varying:
         return expand(density, density.center, density.scale)
-    return find_mode(Density.at(found))
+    return find_mode(density)
 
 
 def normal_draws(mode: Expansion, random: np.random.Generator, *shape: int) -> Float[np.ndarray, "*shape size"]:

@@ -14,7 +14,7 @@ ONLY_IN = {
     "emcee": ("inference/",),
     "flowjax": ("inference/",),
     "xarray": ("posterior.py", "compare.py", "report/", "mismatch/result.py"),
-    "arviz": ("posterior.py", "compare.py", "report/", "mismatch/result.py"),
+    "arviz": ("posterior.py", "compare.py", "psis.py", "report/", "mismatch/result.py"),
 }
 MOST_LINES = 300
 

@@ -3,10 +3,10 @@
 from importlib.metadata import version
 
 import numpy as np
-from jaxtyping import Float
 from scipy.stats import norm
 
 from det2stoc_bayes.mismatch import finding
+from det2stoc_bayes.mismatch.credence import Credence
 from det2stoc_bayes.mismatch.effects import CATALOGUE
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
 from det2stoc_bayes.mismatch.experiment import propose
@@ -20,13 +20,12 @@ PACKAGES = ("det2stoc-bayes", "mujoco", "numpy", "scipy")
 
 
 class Composer:
-    """Builds the finding of one judgement from Laplace draws before and after."""
+    """Builds the finding of one judgement from posterior draws before and after."""
 
-    def __init__(self, judged: Judgement, when: list[Condition], seed: int):
-        self.judged, self.when, self.seed, self.share = judged, when, seed, judged.found.share
+    def __init__(self, judged: Judgement, credence: Credence, when: list[Condition], seed: int):
+        self.judged, self.credence, self.when, self.seed = judged, credence, when, seed
+        self.share = judged.found.share
         self.study = judged.before.problem.simulator.study
-        self.z_before: Float[np.ndarray, "draws size"] = draws(judged.before, self.share, seed)
-        self.z_after: Float[np.ndarray, "draws size"] = draws(judged.after, self.share, seed)
 
     def compose(self, seconds: float) -> finding.Finding:
         """The whole content of diagnosis.json."""
@@ -54,6 +53,7 @@ class Composer:
                 "seconds": seconds,
                 "versions": {name: version(name) for name in PACKAGES},
                 "seed": self.seed,
+                **self.credence.summary(),
                 "negligible": [
                     {"name": p.effect.name, "element": element(p).model_dump(), "explains": s}
                     for p, s in judged.negligible
@@ -66,7 +66,8 @@ class Composer:
         listed = {}
         for m in (first, *others):
             here = m.placed in self.judged.after.problem.effects
-            fit, z = (self.judged.after, self.z_after) if here else (m.fit, draws(m.fit, self.share, self.seed))
+            after = self.credence.after
+            fit, z = (after.fit, after.z) if here else (m.fit, draws(m.fit, self.share, self.seed))
             listed[m.placed] = parameters(fit, m.placed, z)
         equally = tuple(f"{m.placed.effect.name.replace('_', ' ')} on {m.placed.element.label}" for m in others)
         return finding.Effect(
@@ -153,7 +154,7 @@ class Composer:
 
     def _psi(self) -> dict[str, finding.PsiChange]:
         judged, out = self.judged, {}
-        before, after = judged.before.problem.psi(self.z_before), judged.after.problem.psi(self.z_after)
+        before, after = (b.fit.problem.psi(b.z) for b in (self.credence.before, self.credence.after))
         for j, p in enumerate(self.study.parameters):
             moments = [finding.Moments(mean=float(x[:, j].mean()), sd=float(x[:, j].std())) for x in (before, after)]
             z = judged.after.point.z[judged.after.problem.unknowns.blocks[j].begin]
@@ -175,7 +176,8 @@ class Composer:
         drops = [1 - a / b for a, b in pairs if a is not None and b]
         them = "it" if len(effects) == 1 else "them"
         drop = f" With {them} the held-out error falls by {max(drops):.0%}." if drops and max(drops) > 0 else ""
-        return " ".join(e.statement for e in effects) + drop
+        left = self.credence.predictive.text()
+        return " ".join(e.statement for e in effects) + drop + (f" {left}" if left else "")
 
     def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:
         count = self.judged.found.num_candidates
@@ -183,6 +185,8 @@ class Composer:
         inflation = self._inflation()
         if inflation is not None and inflation > MODEL_ERROR:
             text += f" But they stay unexplained: the error's variance is {inflation:.3g} times the noise's."
+        elif self.credence.predictive.fails:
+            text += f" But: {self.credence.predictive.text()}"
         odd = [n for n, p in psi.items() if isinstance(p.prior_conflict, float) and p.prior_conflict < UNLIKELY]
         if odd:
             text += f" But {', '.join(odd)} lies far out in its prior: the believed value or its prior is wrong."

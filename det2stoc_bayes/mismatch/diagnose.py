@@ -8,8 +8,10 @@ from pathlib import Path
 from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.files import atomic_write, replacing
 from det2stoc_bayes.mismatch import finding, result
+from det2stoc_bayes.mismatch.belief import Sampler, Temper
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.compose import Composer
+from det2stoc_bayes.mismatch.credence import weigh
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.mismatch.explain import explain
 from det2stoc_bayes.mismatch.heldout import fitted
@@ -58,8 +60,18 @@ class Diagnosis:
         finding.write_json(self.finding, out / "diagnosis.json")
 
 
-def diagnose(study: Study, *, seed: int = 0, progress: Progress = lambda *_: None) -> Diagnosis:
+def diagnose(
+    study: Study,
+    *,
+    seed: int = 0,
+    progress: Progress = lambda *_: None,
+    temper: Temper | None = None,
+    sampler: Sampler | None = None,
+) -> Diagnosis:
     """Locate, name and model what the believed model leaves out.
+
+    `temper` draws where importance sampling fails; `sampler` draws the final posteriors in place of the cheap way,
+    with which it is compared (`verbs.diagnose` passes those of `inference`).
 
     Raises SimulationDiverged where the believed model cannot follow the recordings at all.
     """
@@ -87,7 +99,8 @@ def diagnose(study: Study, *, seed: int = 0, progress: Progress = lambda *_: Non
     places = [list(judged.after.problem.effects).index(n.placed) for n in judged.named]
     when = [c for i in places for c in conditions(judged.after, i)] if judged.verdict == "mismatch" else []
     progress("scoring held-out recordings", 1, 1)
-    composer = Composer(judged, when, seed)
+    judged, credence = weigh(judged, seed, temper=temper, sampler=sampler, progress=progress)
+    composer = Composer(judged, credence, when, seed)
     tree, patch = _arrays(judged, composer), _patch(judged, composer)
     return Diagnosis(composer.compose(time.perf_counter() - began), tree, patch, study)
 
@@ -103,8 +116,9 @@ def _believed(corrected: Fit, believed: Fit) -> Fit:
 def _patch(judged: Judgement, composer: Composer) -> Patch:
     """The corrected simulator at posterior means of psi and of the named effects."""
     shown, study = judged.shown.problem, composer.study
-    z = composer.z_after if judged.verdict == "mismatch" else composer.z_before
-    psi = dict(zip((p.name for p in study.parameters), shown.psi(z).mean(0).tolist(), strict=True))
+    belief = composer.credence.after if judged.verdict == "mismatch" else composer.credence.before
+    means = belief.fit.problem.psi(belief.z).mean(0).tolist()
+    psi = dict(zip((p.name for p in study.parameters), means, strict=True))
     values = shown.effect_values(judged.shown.point.z[None])
     effects = [(e, {k: v[0] for k, v in p.items()}) for e, p in zip(shown.effects, values, strict=True)]
     return make_patch(study, psi, effects, timestep=shown.timestep, integrator=shown.integrator)
@@ -116,8 +130,8 @@ def _arrays(judged: Judgement, composer: Composer) -> result.DataTree:
     fit_before = fitted(before)
     fit_after = fit_before if after is before else fitted(after)
     groups = {
-        "before/posterior": result.posterior(before, composer.z_before),
-        "after/posterior": result.posterior(after, composer.z_after),
+        "before/posterior": result.posterior(composer.credence.before.fit, composer.credence.before.z),
+        "after/posterior": result.posterior(composer.credence.after.fit, composer.credence.after.z),
     }
     runs = result.rollouts(before, fit_before, fit_after, study.recordings, "recordings", composer.when)
     if study.holdout:

@@ -168,6 +168,27 @@ class PsiChange(Entry):
     prior_conflict: Numbers = Field(description="tail probability of the posterior under the prior")
 
 
+class BeliefOf(Entry):
+    """How a posterior was drawn."""
+
+    method: Literal["laplace+psis", "adapted", "smc", "nuts"]
+    k_hat: Number = Field(description="tail of the importance weights: reliable below 0.7; null: all weights equal")
+    draws: int
+    evaluations: int = Field(description="simulations of all recordings that it took")
+
+
+class Beliefs(Entry):
+    before: BeliefOf
+    after: BeliefOf
+
+
+class PredictiveCheck(Entry):
+    """Whether the corrected simulator makes errors as large as those that it leaves."""
+
+    p_value: Number
+    worst_channel: str | None
+
+
 def _verdict_rules(schema: dict[str, Any]) -> None:
     """What each verdict asks of the lists, said in JSON Schema (pydantic's fields cannot)."""
     some, none = {"minItems": 1}, {"maxItems": 0}
@@ -199,6 +220,11 @@ class Finding(Entry):
     psi: dict[str, PsiChange]
     seconds: Annotated[float, Field(ge=0)]
     versions: dict[str, str]
+    belief: Beliefs | None = None
+    predictive_check: PredictiveCheck | None = None
+    stacking: dict[str, Number] | None = Field(
+        default=None, description="weights of before, after and the best alternative by left-out recordings"
+    )
 
     @model_validator(mode="after")
     def _keeps_to_its_verdict(self) -> Self:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from det2stoc_bayes.report import contents, figures, marginals, numbers, page, series, varying
+from det2stoc_bayes.report import belief_lines, contents, figures, marginals, numbers, page, series, varying
 
 WRITTEN = ("patched.xml", "effects.py", "fit.nc", "diagnosis.json")
 NAMES = {
@@ -42,6 +42,7 @@ def diagnosis_page(
         improvement=contents.improvement(finding["fit"], _units(rollouts)),
         bayes_factor=numbers.bayes_factor(finding["evidence"]["log10_bayes_factor"]),
         density=_density(finding["fit"]),
+        belief=belief_lines.belief_lines(finding),
         screening=contents.screening_rows(fit),
         recordings=_recordings(rollouts, names),
         omitted=len(rollouts) - len(series.selection(rollouts)[0]),

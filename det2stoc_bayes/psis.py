@@ -1,0 +1,75 @@
+"""Statistics of draws on plain arrays: Pareto-smoothed weights (Vehtari et al., 2024), standard errors, stacking."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+LEAST_DRAWS = 25  # fewer have no tail to speak of
+
+
+def reliable(num_draws: int) -> float:
+    """k-hat beyond which weighted averages are not to be trusted: 0.7, less for few draws."""
+    return min(1.0 - 1.0 / np.log10(max(num_draws, 11)), 0.7)
+
+
+def smooth(log_weights: Float[np.ndarray, " draws"]) -> tuple[Float[np.ndarray, " draws"], float]:
+    """Normalized log weights with the largest smoothed, and k-hat: the tail's shape, infinite where none is finite."""
+    from arviz_stats.base.array import array_stats
+
+    log_weights = np.asarray(log_weights, dtype=float)
+    finite = np.isfinite(log_weights)
+    out = np.full(len(log_weights), -np.inf)
+    if finite.sum() < LEAST_DRAWS:
+        out[finite] = log_weights[finite] - logsumexp(log_weights[finite]) if finite.any() else 0.0
+        return out, np.inf
+    if np.ptp(log_weights[finite]) < 1e-9:  # equal weights have no tail
+        out[finite] = -np.log(finite.sum())
+        return out, -np.inf
+    stats: Any = array_stats
+    smoothed, k_hat = stats.psislw(-log_weights[finite])
+    out[finite] = smoothed - logsumexp(smoothed)
+    return out, float(k_hat)
+
+
+def standard_errors(draws: Float[np.ndarray, "chain draw size"]) -> Float[np.ndarray, " size"]:
+    """Monte-Carlo standard errors of the means of chains."""
+    from arviz_stats.base.array import array_stats
+
+    stats: Any = array_stats
+    return np.array([float(stats.mcse(column, method="mean")) for column in np.moveaxis(draws, -1, 0)])
+
+
+def r_hats(draws: Float[np.ndarray, "chain draw size"]) -> Float[np.ndarray, " size"]:
+    """Rank-normalized split R-hat of each unknown: about 1 where chains agree."""
+    from arviz_stats.base.array import array_stats
+
+    stats: Any = array_stats
+    return np.array([float(stats.rhat(column)) for column in np.moveaxis(draws, -1, 0)])
+
+
+def stacking_weights(log_density: Float[np.ndarray, "recordings models"]) -> Float[np.ndarray, " models"]:
+    """Weights on the simplex that maximize sum log sum_m w_m p_m (Yao et al., 2018).
+
+    Each row is scaled by its largest entry, without which densities of long recordings would all underflow to 0.
+    """
+    log_density = np.asarray(log_density, dtype=float)
+    count = log_density.shape[1]
+    p = np.exp(np.maximum(log_density - log_density.max(1, keepdims=True), -700.0))
+
+    def loss(w):
+        mixed = p @ w
+        return -np.log(mixed).sum(), -(p / mixed[:, None]).sum(0)
+
+    found = minimize(
+        loss,
+        np.full(count, 1 / count),
+        jac=True,
+        method="SLSQP",
+        bounds=[(1e-9, 1.0)] * count,
+        constraints={"type": "eq", "fun": lambda w: w.sum() - 1.0, "jac": lambda w: np.ones(count)},
+    )
+    w = np.clip(found.x, 0.0, 1.0)
+    return w / w.sum()

@@ -1,0 +1,91 @@
+"""Tempered particles where a Gaussian at the mode fails."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from det2stoc_bayes.density import log_prior
+from det2stoc_bayes.errors import SamplingFailed
+from det2stoc_bayes.inference import smc
+from det2stoc_bayes.inference.smc import temper
+from det2stoc_bayes.psis import smooth
+
+CENTRES, SD = np.array([[-1.5, 0.0], [1.5, 1.0]]), 0.2
+SHARES = np.array([0.3, 0.7])
+
+
+def two_modes(z):
+    parts = [np.log(w) + stats.multivariate_normal(c, SD**2).logpdf(z) for w, c in zip(SHARES, CENTRES, strict=True)]
+    return np.logaddexp(*parts)
+
+
+def banana(z):
+    """x normal, y normal about x^2."""
+    return stats.norm.logpdf(z[:, 0]) + stats.norm.logpdf(z[:, 1], z[:, 0] ** 2, 0.3)
+
+
+def k_hat(log_target, centre, covariance, random):
+    gaussian = stats.multivariate_normal(centre, covariance)
+    z = gaussian.rvs(4000, random_state=random)
+    return smooth(log_target(z) - gaussian.logpdf(z))[1]
+
+
+def prior_draws(random, count=2000):
+    return random.standard_normal((count, 2))
+
+
+def test_two_modes():
+    random = np.random.default_rng(0)
+    # Seen from the larger mode all is well: a Gaussian there does not know that it missed 30 %.
+    moved = temper(log_prior, two_modes, prior_draws(random), 1)
+    right = moved.particles[:, 0] > 0
+    assert right.mean() == pytest.approx(0.7, abs=0.05)
+    for side, centre in ((~right, CENTRES[0]), (right, CENTRES[1])):
+        here = moved.particles[side]
+        np.testing.assert_allclose(here.mean(0), centre, atol=4 * SD / np.sqrt(side.sum()) * 1.5)
+        np.testing.assert_allclose(here.std(0), SD, rtol=0.12)
+    assert moved.log_evidence == pytest.approx(0.0, abs=0.15)
+    assert moved.tempering[-1] == 1.0 and all(np.diff((0.0, *moved.tempering)) > 0)
+    assert min(moved.acceptance) > 0.05  # measured: 0.095; the walk's steps span both modes
+
+
+def test_banana_that_laplace_fails():
+    random = np.random.default_rng(1)
+    # At the mode (0, 0) the curvature in y is that of a straight ridge.
+    assert k_hat(banana, np.zeros(2), np.diag([1.0, 0.09]), random) > 0.7
+    moved = temper(lambda z: log_prior(z / 2) - 2 * np.log(2), banana, 2 * prior_draws(random), 2)
+    x, y = moved.particles.T
+    assert stats.kstest(x, "norm").pvalue > 0.001
+    assert stats.kstest((y - x**2) / 0.3, "norm").pvalue > 0.001
+    assert y.mean() == pytest.approx(1.0, abs=4 * np.sqrt(2.09 / 2000) * 1.5)
+    assert moved.log_evidence == pytest.approx(0.0, abs=0.15)
+
+
+def test_same_key_same_particles():
+    particles = prior_draws(np.random.default_rng(3), 200)
+    a, b = (temper(log_prior, two_modes, particles, 4).particles for _ in range(2))
+    np.testing.assert_array_equal(a, b)
+
+
+def test_where_it_does_not_arrive():
+    particles = prior_draws(np.random.default_rng(3), 50)
+    with pytest.raises(SamplingFailed, match="of 2 stages"):
+        temper(log_prior, lambda z: -1e6 * (z**2).sum(1), particles, 0, max_stages=2)
+
+
+def test_diverged_simulations_have_no_weight():
+    def half(z):
+        return np.where(z[:, 0] > 0, log_prior(z), -np.inf)
+
+    moved = temper(log_prior, half, prior_draws(np.random.default_rng(5)), 5)
+    assert (moved.particles[:, 0] > 0).all()
+    assert moved.log_evidence == pytest.approx(np.log(0.5), abs=0.1)
+
+
+def test_from_the_mode_it_is_the_same_posterior(gaussian_problem, fits):
+    cheap = smc.fit(gaussian_problem, 3, initial="mode")
+    assert len(cheap.sample_stats.tempering) < len(fits("smc").sample_stats.tempering)
+    for name, draws in fits("smc").posterior.items():
+        sd = float(draws.std())
+        assert abs(float(cheap.posterior[name].mean() - draws.mean())) < 4 * sd * np.sqrt(2 / 1000)
+        assert float(cheap.posterior[name].std()) == pytest.approx(sd, rel=0.12)
