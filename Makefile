@@ -5,7 +5,8 @@ UV_VERSION := 0.13.8
 BIN := .venv/bin
 READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
 
-.PHONY: help test lint format demo bench clean
+.PHONY: help test lint format demo bench real clean
+NAMES := pendulum_multiarm servo_xl330 ball_drops
 .DELETE_ON_ERROR:
 
 help:
@@ -14,6 +15,7 @@ help:
 	@echo "make lint    ruff and pyright alone"
 	@echo "make format  let ruff put the files in shape"
 	@echo "make bench   the benchmarks"
+	@echo "make real    diagnose real recordings: STUDIES=folder NAMES=\"one two\""
 	@echo "make clean   remove .venv and caches; results in out/ stay"
 
 test: lint
@@ -33,7 +35,10 @@ demo: $(READY)
 
 bench: $(READY)
 	@UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --group bench --python $(BIN)/python
-	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python "$$file" || exit 1; done
+	@for file in $(filter-out benchmarks/real.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python "$$file" || exit 1; done
+
+real: $(READY)
+	@$(BIN)/python benchmarks/real.py $(if $(STUDIES),--studies $(STUDIES)) $(NAMES)
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis build dist
