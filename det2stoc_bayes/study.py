@@ -61,6 +61,7 @@ class Parameter:
     index: tuple[int, ...] | None
     prior: Prior
     varies: Literal["never", "trajectory"] = "never"
+    declared: Prior | None = None  # the study's own prior, where another one took its place
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ from det2stoc_bayes.segments import TIME_SLACK
 _BAD_STATE = [int(getattr(mujoco.mjtWarning, f"mjWARN_BADQ{x}")) for x in ("POS", "VEL", "ACC")]
 _STATE = mujoco.mjtState
 _SET_CONST_INPUTS = frozenset(mujoco.MjModel._setconst_inputs)
-# Floating-point fields that mj_setConst derives; structure (indices, names of parents) does not change with values.
+# Inputs of mj_setConst from which only the fields below follow, and no counter of the model (as from gravcomp).
+_PLAIN_INPUTS = frozenset({"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature", "actuator_gear"})
 _SET_CONST_OUTPUTS = (
     "actuator_acc0", "actuator_length0", "body_invweight0", "body_subtreemass", "dof_M0", "dof_invweight0",
     "dof_length", "eq_data", "tendon_invweight0", "tendon_length0",
@@ -96,7 +97,7 @@ class Chunk:
         inputs = [name for name in self.fields if name in _SET_CONST_INPUTS]
         rows = np.concatenate([self.fields[name].reshape(self.count, -1) for name in inputs], 1)
         _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-        if len(first) > self.count // FEWER:
+        if len(first) > self.count // FEWER or not _PLAIN_INPUTS.issuperset(inputs):
             self.batch.set_const()
             return
         few = mujoco.batch.Batch(self.model, len(first), 1)

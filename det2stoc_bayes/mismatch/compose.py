@@ -3,9 +3,9 @@
 from importlib.metadata import version
 
 import numpy as np
-from scipy.stats import norm
 
 from det2stoc_bayes.mismatch import finding
+from det2stoc_bayes.mismatch.conflict import tail_probability
 from det2stoc_bayes.mismatch.credence import Credence
 from det2stoc_bayes.mismatch.effects import CATALOGUE
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
@@ -157,9 +157,8 @@ class Composer:
         before, after = (b.fit.problem.psi(b.z) for b in (self.credence.before, self.credence.after))
         for j, p in enumerate(self.study.parameters):
             moments = [finding.Moments(mean=float(x[:, j].mean()), sd=float(x[:, j].std())) for x in (before, after)]
-            z = judged.after.point.z[judged.after.problem.unknowns.blocks[j].begin]
-            tail = 2 * float(norm.sf(abs(z)))
-            out[p.name] = finding.PsiChange(before=moments[0], after=moments[1], prior_conflict=min(tail, 1.0))
+            tail = tail_probability(p, float(judged.after.problem.psi(judged.after.point.z)[j]))
+            out[p.name] = finding.PsiChange(before=moments[0], after=moments[1], prior_conflict=tail)
         return out
 
     def _summary(self, effects, candidates, fit: finding.Fit, psi: dict[str, finding.PsiChange]) -> str:

@@ -11,6 +11,7 @@ from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.belief import Sampler, Temper
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.compose import Composer
+from det2stoc_bayes.mismatch.conflict import resolved
 from det2stoc_bayes.mismatch.credence import weigh
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.mismatch.explain import explain
@@ -84,6 +85,7 @@ def diagnose(
             f"{study.model_path}: the simulation diverges from every recorded start; "
             "check units, the timestep and the initial states of the recordings"
         )
+    before = resolved(before) or before
     progress("fitting the believed model", 1, 1)
     pool = candidates(before.problem)
     numerics = check_numerics(before, float(simulator.model.opt.timestep), len(pool))

@@ -114,7 +114,7 @@ def refine_pairs(base: Fit, screened: Sequence[Screened], least: float) -> Fit |
 
 
 def _added(
-    base: Fit, change: Float[np.ndarray, " size"], added: Sequence[tuple[Screened, Float[np.ndarray, " columns"]]]
+    base: Fit, change: Float[np.ndarray, " size"], added: Sequence[tuple[Screened, Float[np.ndarray, "_"]]]
 ) -> tuple[Problem, Point]:
     """The hypothesis with screened additions, where screening puts it."""
     z = [base.point.z + change]

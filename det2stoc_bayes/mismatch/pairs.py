@@ -20,7 +20,7 @@ class Pair:
 
     members: tuple[Screened, Screened]
     log_evidence: float
-    coefficients: tuple[Float[np.ndarray, " columns"], Float[np.ndarray, " columns"]]
+    coefficients: tuple[Float[np.ndarray, "_"], Float[np.ndarray, "_"]]
     change: Float[np.ndarray, " size"]
 
 

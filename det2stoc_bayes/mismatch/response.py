@@ -110,7 +110,7 @@ class Response:
     def commanded(
         self, at: Element, effect: Effect, trials: Sequence[Mapping[str, float]]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """d and e of what an effect makes of an actuator's commands, as the mean change over each interval."""
+        """d and e of what an effect without memory makes of an actuator's commands: its mean over each interval."""
         problem, ctrl = self.problem, at.ctrl
         dt = problem.timestep or float(problem.simulator.model.opt.timestep)
         values = problem.effect_values(self.point.z[None])
@@ -120,8 +120,7 @@ class Response:
             if p.effect.uses("control") and p.element.ctrl == ctrl
         ]
         tried = [{n: np.array([v]) for n, v in t.items()} for t in trials]
-        longest = max(e.memory(p) for e, p in [*there, *((effect, p) for p in tried)])
-        before = int(np.ceil(longest / dt)) + 2
+        before = int(np.ceil(max((e.memory(p) for e, p in there), default=0.0) / dt)) + 2
         segments = problem.segments
         u = segments.commands(np.arange(segments.count), dt, int(segments.steps(dt).max()) + 1, before)[..., ctrl]
         time = segments.time[:, :1] + (np.arange(u.shape[1]) - before) * dt

@@ -75,7 +75,7 @@ def responses(fit: Fit, candidates, advance) -> Iterator[tuple[PlacedEffect, Tri
                         -1,
                     )
                     parts.append(response.propagate(*response.forced(at.dof, force)))
-                elif effect.uses("control"):
+                elif effect.uses("control") and not effect.uses("memory"):  # of this sample's command alone
                     parts.append(response.propagate(*response.commanded(at, effect, some)))
                 else:
                     parts.append(response.propagate(*response.defects([(placed, t) for t in some])))

@@ -64,7 +64,7 @@ def test_a_diagnosis_sees_the_study_alone_and_its_end_is_told(bench, monkeypatch
     diagnosis, seconds, megabytes = bench.diagnosed(bench.draw_case("1", "control", 0))
     assert diagnosis["found"] == ["holdout", "model.xml", "recordings", "study.toml"]
     assert set(diagnosis["around"]) <= {"study", "out", "said"}
-    assert seconds > 0.0 and 1.0 < megabytes < 500.0
+    assert seconds > 0.0 and megabytes > 1.0  # a child starts with its parent's peak
     script.write_text("#!/bin/sh\necho broken\nexit 3\n")
     failed, _, _ = bench.diagnosed(bench.draw_case("1", "control", 0))
     assert failed["verdict"] == "failed (3)" and failed["error"] == "broken\n"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpyro.infer.util import log_density as numpyro_log_density
 
-from det2stoc_bayes.density import Density, constrained, scale_of
+from det2stoc_bayes.density import Density, scale_of
 from det2stoc_bayes.errors import MethodNotApplicable
 from det2stoc_bayes.map import expand, find_map, find_mode
 from det2stoc_bayes.models import linear_gaussian
@@ -108,7 +108,7 @@ def test_numpyro_joint_is_the_plain_density(density, points):
     for z in points:
         joint, trace = numpyro_log_density(model, (), {}, {"z": jnp.asarray(z)})
         assert float(joint) == pytest.approx(density.log_density(z[None])[0], abs=1e-9)
-    for name, value in constrained(density.problem, points[-1]).items():
+    for name, value in density.problem.constrained(points[-1]).items():
         assert float(trace[name]["value"]) == pytest.approx(float(value), rel=1e-9)
 
 

@@ -1,0 +1,52 @@
+"""Whether psi's priors are wrong, before any physics is said to be missing."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import norm
+
+from det2stoc_bayes.linearization import Point
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
+from det2stoc_bayes.optimize import Fit, fit_many
+from det2stoc_bayes.priors import Prior
+from det2stoc_bayes.simulator import Simulator
+from det2stoc_bayes.study import Parameter
+
+TENSION = 3.0  # prior sds from the median at which a prior is doubted
+WIDER = 10.0  # times
+
+
+def resolved(fit: Fit) -> Fit | None:
+    """The fit under priors ten times as wide, where some psi strains at its own and the recordings are explained then.
+
+    None where no prior is in doubt, or where something else is missing, too.
+    """
+    strained = [b for b in fit.problem.unknowns.blocks if abs(fit.point.z[b.begin]) > TENSION]
+    if not strained or fit.problem.unknowns.varying:
+        return None
+    simulator = fit.problem.simulator
+    parameters = tuple(_widened(p) for p in simulator.parameters)
+    wide = Simulator(replace(simulator.study, parameters=parameters))
+    psi = fit.problem.psi(fit.point.z)
+    z = np.array([float(p.prior.to_normal(v)) for p, v in zip(parameters, psi, strict=True)])
+    problem = replace(fit.problem, simulator=wide)
+    found = fit_many([(problem, Point(np.clip(z, -5, 5), fit.point.start))], max_iterations=20)[0]
+    return found if found is not None and found.noise_inflation < MODEL_ERROR else None
+
+
+def _widened(parameter: Parameter) -> Parameter:
+    """Ten times the spread about the same median; what could not be negative still cannot."""
+    prior, sd = parameter.prior, parameter.prior.sd
+    if not np.isfinite(sd):
+        return parameter
+    low, high = prior.support
+    arguments = {"loc": float(prior.from_normal(np.array(0.0))), "scale": WIDER * sd}
+    arguments |= {"low": 0.0} if low >= 0 else {"high": 0.0} if high <= 0 else {}
+    family = "TruncatedNormal" if len(arguments) > 2 else "Normal"
+    return replace(parameter, prior=Prior(family, arguments), declared=prior)
+
+
+def tail_probability(parameter: Parameter, value: float) -> float:
+    """Two-sided tail of a psi under the prior that its study declares."""
+    prior = parameter.declared or parameter.prior
+    return min(2 * float(norm.sf(abs(float(prior.to_normal(value))))), 1.0)
