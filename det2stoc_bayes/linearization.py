@@ -79,7 +79,7 @@ def linearize(
         change[1 + np.arange(states), :, np.arange(states)] = (START_STEP * problem.guess.scale)[:, None]
         z = np.tile(point.z, (variants, 1))
         for k, moved in enumerate(probes):
-            z[1 + states + k, moved] += UNKNOWN_STEP
+            z[1 + states + k, moved] += problem.nudge(point.z, moved, UNKNOWN_STEP)
         requests.append(problem.request(z, problem.moved(start, change.reshape(-1, states))))
     predicted = simulate(points, requests)
     return [
@@ -103,7 +103,10 @@ def _assemble(problem: Problem, point: Point, predicted: np.ndarray, probes) -> 
     change = np.nan_to_num(r[0] - r[1:])  # a perturbation that diverges tells nothing
     a = np.moveaxis(change[:states], 0, -1) / (START_STEP * problem.guess.scale)
     j = np.zeros((*change.shape[1:], problem.size))
-    for moved, column in zip(probes, change[states:] / UNKNOWN_STEP, strict=True):
+    for moved, column in zip(probes, change[states:], strict=True):
+        there = np.array(point.z)
+        there[moved] += problem.nudge(point.z, moved, UNKNOWN_STEP)
+        column = column / problem.straightened(there, point.z)[moved[0]]
         if len(moved) == 1:
             j[..., moved[0]] = column
             continue

@@ -9,13 +9,12 @@ from scipy.optimize import least_squares
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.linearization import Linearization, Point, linearize, simulate, start_point, tangent
-from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.problem import FARTHEST, Problem
 
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
 SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
 NUM_RESPREADS = 8  # rounds in which the spreads of psi by recording settle
-LARGEST_STEP = 3.0  # prior sds in one iteration
-FARTHEST = 6.0  # prior sds of psi from its median: beyond it a bounded prior's quantiles lose their digits
+LARGEST_STEP = 10.0  # prior sds of an effect in one iteration
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,18 +183,19 @@ def most_probable(
     """Maximum of the prior times a likelihood that is Gaussian in `straightened` unknowns, within LARGEST_STEP of z."""
     if not problem.size:
         return z
-    values, vectors = np.linalg.eigh(gram)
-    keep = values > 1e-14 * max(values[-1], 1e-300)
-    root = np.sqrt(values[keep])[:, None] * vectors[:, keep].T
-    target = (vectors[:, keep].T @ slope) / np.sqrt(values[keep])
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))  # unknowns near a bound count little, but must be seen
+    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    keep = values > 1e-13 * max(values[-1], 1e-300)
+    root = np.sqrt(values[keep])[:, None] * vectors[:, keep].T * size
+    target = (vectors[:, keep].T @ (slope / size)) / np.sqrt(values[keep])
 
     def misfit(x):
         return np.concatenate([root @ problem.straightened(x, z) - target, x])
 
-    # Priors whose quantiles bend end in double precision; a psi that is already far out may only come back.
-    farthest = np.where(np.arange(problem.size) < problem.num_psi, FARTHEST, np.inf)
-    low = np.minimum(np.maximum(z - LARGEST_STEP, -farthest), z)
-    high = np.maximum(np.minimum(z + LARGEST_STEP, farthest), z)
+    # A psi may go anywhere in its prior, whose bend is exact, short of where quantiles lose their digits.
+    psi = np.arange(problem.size) < problem.num_psi
+    low = np.where(psi, np.minimum(-FARTHEST, z), z - LARGEST_STEP)
+    high = np.where(psi, np.maximum(FARTHEST, z), z + LARGEST_STEP)
     return least_squares(misfit, z, bounds=(low - 1e-9, high + 1e-9), xtol=1e-10, ftol=1e-12).x
 
 

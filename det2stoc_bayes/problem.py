@@ -24,6 +24,7 @@ from det2stoc_bayes.starts import StartGuess, guess_starts
 from det2stoc_bayes.unknowns import Unknowns, carried, first_spreads, lay_out
 
 Array = Any  # numpy or jax array
+FARTHEST = 6.0  # prior sds of psi from its median: beyond it a bounded prior's quantiles lose their digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +107,28 @@ class Problem:
             if high > low:  # at a bound's very edge psi stands still in double precision
                 out[j] = (there - here) * 2 * h / (high - low)
         return out
+
+    def bent(self, at: Float[np.ndarray, " size"], straight: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """The inverse of `straightened`: where a change leads that was found linear in psi; within the prior."""
+        out, h = at + straight, 1e-4
+        for b in self.unknowns.blocks:
+            j, prior = b.begin, b.parameter.prior
+            low, here, high = prior.from_normal(np.array([at[j] - h, at[j], at[j] + h]))
+            ends = prior.from_normal(np.array([-FARTHEST, FARTHEST]))
+            psi = np.clip(here + straight[j] * (high - low) / (2 * h), *ends)
+            out[j] = np.clip(float(prior.to_normal(psi)), -FARTHEST, FARTHEST)
+        return out
+
+    def nudge(self, z: Float[np.ndarray, " size"], moved: Int[np.ndarray, " moved"], step: float) -> float:
+        """A step of these unknowns for a finite difference: longer, and inwards, where psi hardly changes with z."""
+        for b in self.unknowns.blocks:
+            if len(moved) == 1 and moved[0] == b.begin and abs(z[b.begin]) > 2:
+                prior, at = b.parameter.prior, float(z[b.begin])
+                middle = abs(float(np.diff(prior.from_normal(np.array([0.0, step])))[0]))
+                step *= -np.sign(at)
+                while abs(float(np.diff(prior.from_normal(np.array([at, at + step])))[0])) < middle and abs(step) < 1:
+                    step *= 2
+        return float(step)
 
     def between(
         self, a: Float[np.ndarray, " size"], b: Float[np.ndarray, " size"], fraction: float

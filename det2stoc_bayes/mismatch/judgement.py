@@ -64,7 +64,7 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
             whole = held_out(after)
     named, negligible = [], []
     for i, placed in enumerate(after.problem.effects):
-        alone = len(after.problem.effects) == 1 and found.before is before
+        alone = len(after.problem.effects) == 1 and numerics is None  # without it stands the believed model
         base = held_before if alone else held_out(without(after, i))
         explains = _share(held_before, base, whole)
         if explains < NEGLIGIBLE:
