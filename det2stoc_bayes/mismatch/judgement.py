@@ -64,9 +64,7 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
             whole = held_out(after)
     named, negligible = [], []
     for i, placed in enumerate(after.problem.effects):
-        alone = len(after.problem.effects) == 1 and numerics is None  # without it stands the believed model
-        base = held_before if alone else held_out(without(after, i))
-        explains = _share(held_before, base, whole)
+        explains = _explained(after, i, held_before, whole, numerics is None)
         if explains < NEGLIGIBLE:
             negligible.append((placed, explains))
         else:
@@ -74,11 +72,16 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
             named.append(Named(placed, chosen, explains, tuple(c for c in places[i] if c is not chosen)))
     for placed, _ in negligible:
         after = without(after, list(after.problem.effects).index(placed))
+    if negligible and named:  # what the others explain is told beside those that stay
+        whole = held_out(after)
+        kept = list(after.problem.effects)
+        shares = [_explained(after, kept.index(n.placed), held_before, whole, numerics is None) for n in named]
+        named = [replace(n, explains=s) for n, s in zip(named, shares, strict=True)]
     if not named and numerics is None:
         verdict, after = "no_mismatch", before
     else:
         verdict = "mismatch" if all(n.chosen.probability >= SURE for n in named) else "inconclusive"
-    held_after = held_before if after is before else whole if not negligible and named else held_out(after)
+    held_after = held_before if after is before else whole if named else held_out(after)
     return Judgement(
         verdict, before, after, found, places, tuple(named), tuple(negligible), numerics, share, held_before, held_after
     )
@@ -92,6 +95,12 @@ def _at_believed_step(fit: Fit) -> Fit:
 
 def _class_of(place: list[Class], placed: PlacedEffect) -> Class:
     return next(c for c in place if any(r.placed == placed for r in c.alike))
+
+
+def _explained(after: Fit, i: int, believed: HeldOut, whole: HeldOut, at_believed_step: bool) -> float:
+    """Share of the held-out error that goes with effect i; without a single one the believed model stands."""
+    alone = len(after.problem.effects) == 1 and at_believed_step
+    return _share(believed, believed if alone else held_out(without(after, i)), whole)
 
 
 def _share(believed: HeldOut, base: HeldOut, better: HeldOut) -> float:
