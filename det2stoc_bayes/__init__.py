@@ -19,14 +19,13 @@ from det2stoc_bayes.errors import (
 
 if TYPE_CHECKING:
     from det2stoc_bayes.identifiability import check
-    from det2stoc_bayes.mismatch.diagnose import diagnose
     from det2stoc_bayes.study import load_study as load
-    from det2stoc_bayes.verbs import fit
+    from det2stoc_bayes.verbs import diagnose, fit
 
 # Looked up at first use, so that `import det2stoc_bayes` and `det2stoc --help` wait for no library.
 _LAZY = {
     "check": "det2stoc_bayes.identifiability:check",
-    "diagnose": "det2stoc_bayes.mismatch.diagnose:diagnose",
+    "diagnose": "det2stoc_bayes.verbs:diagnose",
     "fit": "det2stoc_bayes.verbs:fit",
     "load": "det2stoc_bayes.study:load_study",
 }

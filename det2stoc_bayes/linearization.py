@@ -70,22 +70,20 @@ def linearize(
     With "own" only what belongs to single recordings (starts, values of a psi that varies) is moved; the columns of
     the other unknowns are zero.
     """
-    requests = []
+    requests, moves = [], []
     for problem, point in points:
         states, probes = problem.guess.scale.shape[0], problem.probes(unknowns)
+        moves.append([(moved, problem.nudge(point.z, moved, UNKNOWN_STEP)) for moved in probes])
         variants = 1 + states + len(probes)
         start = repeat_start(point.start, variants)
         change = np.zeros((variants, problem.segments.count, states))
         change[1 + np.arange(states), :, np.arange(states)] = (START_STEP * problem.guess.scale)[:, None]
         z = np.tile(point.z, (variants, 1))
-        for k, moved in enumerate(probes):
-            z[1 + states + k, moved] += problem.nudge(point.z, moved, UNKNOWN_STEP)
+        for k, (moved, step) in enumerate(moves[-1]):
+            z[1 + states + k, moved] += step
         requests.append(problem.request(z, problem.moved(start, change.reshape(-1, states))))
     predicted = simulate(points, requests)
-    return [
-        _assemble(problem, point, p, problem.probes(unknowns))
-        for (problem, point), p in zip(points, predicted, strict=True)
-    ]
+    return [_assemble(problem, point, p, m) for (problem, point), p, m in zip(points, predicted, moves, strict=True)]
 
 
 def simulate(points, requests) -> list[np.ndarray]:
@@ -94,7 +92,9 @@ def simulate(points, requests) -> list[np.ndarray]:
     return np.split(predicted, np.cumsum([len(r.which) for r in requests])[:-1])
 
 
-def _assemble(problem: Problem, point: Point, predicted: np.ndarray, probes) -> Linearization | None:
+def _assemble(
+    problem: Problem, point: Point, predicted: np.ndarray, moves: Sequence[tuple[np.ndarray, float]]
+) -> Linearization | None:
     states, count = problem.guess.scale.shape[0], problem.segments.count
     base = predicted[:count]
     if not np.isfinite(base).all():
@@ -103,10 +103,11 @@ def _assemble(problem: Problem, point: Point, predicted: np.ndarray, probes) -> 
     change = np.nan_to_num(r[0] - r[1:])  # a perturbation that diverges tells nothing
     a = np.moveaxis(change[:states], 0, -1) / (START_STEP * problem.guess.scale)
     j = np.zeros((*change.shape[1:], problem.size))
-    for moved, column in zip(probes, change[states:], strict=True):
+    straight = problem.straightener(point.z)
+    for (moved, step), column in zip(moves, change[states:], strict=True):
         there = np.array(point.z)
-        there[moved] += problem.nudge(point.z, moved, UNKNOWN_STEP)
-        column = column / problem.straightened(there, point.z)[moved[0]]
+        there[moved] += step
+        column = column / straight(there)[moved[0]]
         if len(moved) == 1:
             j[..., moved[0]] = column
             continue

@@ -135,7 +135,7 @@ def fit_starts(problem: Problem, z: Float[np.ndarray, " size"], *, num_iteration
 
 def _own_step(lin: Linearization) -> "_Step":
     """Newton's step in the values of psi by recording alone."""
-    own = np.concatenate([np.arange(0), *(np.arange(r.start, r.stop) for _, r in lin.problem.unknowns.own())])
+    own = lin.problem.unknowns.owned
     step = np.zeros(lin.problem.size)
     if len(own):
         gram, slope, _ = (x.sum(0) for x in lin.gram())
@@ -189,8 +189,10 @@ def most_probable(
     root = np.sqrt(values[keep])[:, None] * vectors[:, keep].T * size
     target = (vectors[:, keep].T @ (slope / size)) / np.sqrt(values[keep])
 
+    straight = problem.straightener(z)
+
     def misfit(x):
-        return np.concatenate([root @ problem.straightened(x, z) - target, x])
+        return np.concatenate([root @ straight(x) - target, x])
 
     # A psi may go anywhere in its prior, whose bend is exact, short of where quantiles lose their digits.
     psi = np.arange(problem.size) < problem.num_psi

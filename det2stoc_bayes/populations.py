@@ -25,14 +25,14 @@ def log_marginal(fit: Fit, log_factor: Float[np.ndarray, " varying"]) -> float:
     """log p(recordings | sigma) + log prior of log sigma, about a fit and up to a constant; sigma = factor * held."""
     problem, z = fit.problem, fit.point.z
     gram, slope, _ = (x.sum(0) / fit.noise_scale for x in fit.linear.gram())
-    prior_sd, own = np.ones(problem.size), list(problem.unknowns.own())
-    for (_, rows), change in zip(own, log_factor, strict=True):
+    prior_sd = np.ones(problem.size)
+    for rows, change in zip(problem.unknowns.own, log_factor, strict=True):
         prior_sd[rows] = np.exp(change)
     precision = gram + np.diag(prior_sd**-2)
     pull = slope + gram @ z
     value = 0.5 * pull @ np.linalg.solve(precision, pull) - 0.5 * np.linalg.slogdet(precision)[1]
     value -= float(np.log(prior_sd).sum())
-    for (block, _), change in zip(own, log_factor, strict=True):
+    for block, change in zip(problem.unknowns.varying, log_factor, strict=True):
         sigma, scale = float(block.spread or 0.0) * np.exp(change), block.parameter.prior.sd / 2
         value += np.log(sigma) - 0.5 * (sigma / scale) ** 2
     return float(value)
@@ -54,17 +54,15 @@ def better_spreads(fit: Fit) -> tuple[float, ...] | None:
     return tuple(float(s * np.exp(x)) for s, x in zip(held, found.x, strict=True))
 
 
-def respread(fit: Fit, spreads: tuple[float, ...]) -> tuple[Problem, Point]:
-    """The same point under other spreads: every recording keeps its value."""
+def respread(fit: Fit, spreads: tuple[float, ...] | None) -> tuple[Problem, Point]:
+    """The same point under other spreads (None: as unknowns): every recording keeps its value."""
     problem = replace(fit.problem, spreads=spreads)
     return problem, Point(fit.problem.carry(fit.point.z, problem), fit.point.start)
 
 
 def freed(fit: Fit) -> Fit:
     """The same point with the spreads among the unknowns."""
-    problem = replace(fit.problem, spreads=None)
-    point = Point(fit.problem.carry(fit.point.z, problem), fit.point.start)
-    found = fit_many([(problem, point)], max_iterations=0, free_scale=False)[0]
+    found = fit_many([respread(fit, None)], max_iterations=0, free_scale=False)[0]
     if found is None:  # it was finite a moment ago
         raise SimulationDiverged("the simulation at the most probable parameters does not stay finite")
     return found

@@ -4,7 +4,7 @@ Every unknown is a standard normal z; psi and effect parameters follow by their 
 functions, so that the prior is N(0, I) whatever the study's priors are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -99,23 +99,30 @@ class Problem:
 
     def straightened(self, z: Float[np.ndarray, " size"], at: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
         """z - at in coordinates in which psi is linear, of unit slope at `at`: what a prediction linear in psi sees."""
-        out = z - at
-        h = 1e-4
-        for b in self.unknowns.blocks:
-            j, prior = b.begin, b.parameter.prior
-            low, here, high, there = prior.from_normal(np.array([at[j] - h, at[j], at[j] + h, z[j]]))
-            if high > low:  # at a bound's very edge psi stands still in double precision
-                out[j] = (there - here) * 2 * h / (high - low)
-        return out
+        return self.straightener(at)(z)
+
+    def straightener(
+        self, at: Float[np.ndarray, " size"]
+    ) -> Callable[[Float[np.ndarray, " size"]], Float[np.ndarray, " size"]]:
+        """`straightened` at one place, for many z."""
+        tangents = [(b, *b.tangent(float(at[b.begin]))) for b in self.unknowns.blocks]
+
+        def straight(z):
+            out = z - at
+            for b, here, slope in tangents:
+                if slope > 0:  # at a bound's very edge psi stands still in double precision
+                    out[b.begin] = (float(b.population(z)) - here) / slope
+            return out
+
+        return straight
 
     def bent(self, at: Float[np.ndarray, " size"], straight: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
         """The inverse of `straightened`: where a change leads that was found linear in psi; within the prior."""
-        out, h = at + straight, 1e-4
+        out = at + straight
         for b in self.unknowns.blocks:
             j, prior = b.begin, b.parameter.prior
-            low, here, high = prior.from_normal(np.array([at[j] - h, at[j], at[j] + h]))
-            ends = prior.from_normal(np.array([-FARTHEST, FARTHEST]))
-            psi = np.clip(here + straight[j] * (high - low) / (2 * h), *ends)
+            here, slope = b.tangent(float(at[j]))
+            psi = np.clip(here + straight[j] * slope, *prior.from_normal(np.array([-FARTHEST, FARTHEST])))
             out[j] = np.clip(float(prior.to_normal(psi)), -FARTHEST, FARTHEST)
         return out
 
@@ -147,11 +154,11 @@ class Problem:
 
         "own": only those that belong to single recordings.
         """
-        together = [np.arange(rows.start, rows.stop) for _, rows in self.unknowns.own()]
+        together = self.unknowns.own
         if unknowns == "own":
-            return together
-        own = {int(i) for rows in together for i in rows}
-        return [*(np.array([i]) for i in range(self.size) if i not in own), *together]
+            return list(together)
+        single = np.setdiff1d(np.arange(self.size), self.unknowns.owned)
+        return [*(np.array([i]) for i in single), *together]
 
     def effect_values(self, z: Array, xp: Any = np) -> list[dict[str, Array]]:
         """Parameters (...) or (..., 3) of each effect, in their own units, from unknowns (..., size)."""

@@ -4,19 +4,20 @@ For psi that varies, psi_k ~ Normal(mu, sigma) truncated to the prior's support,
 sigma ~ HalfNormal(sd of the prior / 2), written with standard normals alone: z_mu, e_k (and z_sigma).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from det2stoc_bayes.priors import Prior
 from det2stoc_bayes.quantiles import library, truncated_normal
 from det2stoc_bayes.study import Parameter
 
 Array = Any  # numpy or jax array
+TANGENT_STEP = 1e-4  # of a prior sd
 LEAST_SPREAD = 1e-3  # of the prior's sd: a population narrower than this is one value
 
 
@@ -52,6 +53,11 @@ class Block:
     def population(self, z: Array, xp: ModuleType = np) -> Array:
         """mu (...)."""
         return self.parameter.prior.from_normal(z[..., self.begin], xp)
+
+    def tangent(self, z: float) -> tuple[float, float]:
+        """mu where its unknown is z, and its slope there."""
+        low, here, high = self.parameter.prior.from_normal(np.array([z - TANGENT_STEP, z, z + TANGENT_STEP]))
+        return float(here), float(high - low) / (2 * TANGENT_STEP)
 
     def sigma(self, z: Array, xp: ModuleType = np) -> Array:
         """sd of the population (...)."""
@@ -97,10 +103,15 @@ class Unknowns:
             out += [f"{name}[{r}]" for r in self.recordings] if b.varies else []
         return tuple(out)
 
-    def own(self) -> Iterator[tuple[Block, slice]]:
-        """Unknowns that each belong to one recording."""
-        for b in self.varying:
-            yield b, slice(b.first_own, b.stop)
+    @property
+    def own(self) -> tuple[Int[np.ndarray, " recordings"], ...]:
+        """For each psi that varies, its unknowns that each belong to one recording."""
+        return tuple(np.arange(b.first_own, b.stop) for b in self.varying)
+
+    @property
+    def owned(self) -> Int[np.ndarray, " owned"]:
+        """All unknowns that belong to single recordings."""
+        return np.concatenate([np.arange(0), *self.own])
 
     def population(self, z: Array, xp: ModuleType = np) -> Array:
         """One value a psi (..., psi): mu where it varies."""
@@ -139,11 +150,6 @@ def lay_out(parameters: Sequence[Parameter], recordings: Sequence[str], spreads:
         blocks.append(Block(p, begin, len(recordings) if varies else 0, spread))
         begin = blocks[-1].stop
     return Unknowns(tuple(blocks), tuple(recordings))
-
-
-def owners(segment_recording: np.ndarray, num_recordings: int) -> Bool[np.ndarray, "recordings segments"]:
-    """Which segments belong to each recording."""
-    return np.arange(num_recordings)[:, None] == np.asarray(segment_recording)[None]
 
 
 def first_spreads(parameters: Sequence[Parameter]) -> tuple[float, ...]:

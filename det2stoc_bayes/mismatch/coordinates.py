@@ -83,7 +83,7 @@ class Population:
         z, log_det = np.empty_like(u), np.empty(len(u))
         for i, (f, own) in enumerate(zip(factor, u, strict=True)):
             inverse = np.ones(u.shape[1])
-            for (_, rows), one in zip(self._held.own(), f, strict=True):
+            for rows, one in zip(self._held.own, f, strict=True):
                 inverse[rows] = np.exp(-2 * one)
             precision = self._gram + np.diag(inverse)
             root = scale_of(precision)

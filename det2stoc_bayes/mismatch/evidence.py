@@ -45,12 +45,13 @@ def log_evidence(fit: Fit, share: float = 1.0) -> float:
 
     `share` is the number of independent samples per sample (`effective_share`).
     """
-    n, lin = fit.linear.degrees_of_freedom, fit.linear
-    return (
-        -share * profile(fit.chi2, fit.noise_scale, n)
-        - 0.5 * float(lin.point.z @ lin.point.z)
-        + 0.5 * log_det(widened(fit, share))
-    )
+    z = fit.point.z
+    return share * log_told(fit) - 0.5 * float(z @ z) + 0.5 * log_det(widened(fit, share))
+
+
+def log_told(fit: Fit) -> float:
+    """Log density of the recordings at a fit, the noise scale profiled, up to a common constant."""
+    return -profile(fit.chi2, fit.noise_scale, fit.linear.degrees_of_freedom)
 
 
 def profile(chi2: float, s2: float, n: int) -> float:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence, profile
+from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence, log_told
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.pairs import pairs
 from det2stoc_bayes.mismatch.screen import Screened, screen
@@ -202,13 +202,8 @@ def _together(base: Fit, slot: Slot, needed: float) -> Fit | None:
     if alone is None:
         return found if gain(base, found, share) > needed else None
     # Wide posteriors of unknowns that trade with each other are no reason: the recordings must be told better.
-    told = share * (_told(found) - _told(alone.fit))
+    told = share * (log_told(found) - log_told(alone.fit))
     return found if min(told, gain(base, found, share) - gain(base, alone.fit, share)) > needed else None
-
-
-def _told(fit: Fit) -> float:
-    """Log density of the recordings at a fit, the noise scale profiled, up to a common constant."""
-    return -profile(fit.chi2, fit.noise_scale, fit.linear.degrees_of_freedom)
 
 
 def _judge(final: Fit, i: int, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:

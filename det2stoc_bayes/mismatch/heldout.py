@@ -91,7 +91,7 @@ def _one(fit: Fit, z: np.ndarray, recording: Recording):
 def own_integrated(lin: Linearization) -> tuple[float, float]:
     """chi2 and log normalizer with starts and values of psi by recording integrated out."""
     gram, _, square = (x.sum(0) for x in lin.gram())
-    own = np.concatenate([np.arange(0), *(np.arange(r.start, r.stop) for _, r in lin.problem.unknowns.own())])
+    own = lin.problem.unknowns.owned
     chi2 = float(square) + float((lin.point.z[own] ** 2).sum())
     log_det = np.linalg.slogdet(gram[np.ix_(own, own)] + np.eye(len(own)))[1] if len(own) else 0.0
     return chi2, lin.latent.log_normalizer - 0.5 * float(log_det)
