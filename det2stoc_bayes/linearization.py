@@ -1,7 +1,7 @@
 """Predictions about a point: what each unknown and each latent start would change, by finite differences."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -34,11 +34,24 @@ class Linearization:
     latent: LatentStarts
     stacked: Float[np.ndarray, "segments stacked 1"]  # whitened residual over the start prior's
     columns: Float[np.ndarray, "segments stacked size"]  # its sensitivity to the unknowns (sign: of the prediction)
+    exact: bool = True  # whether the sensitivities were taken at this very point
 
     @property
     def degrees_of_freedom(self) -> int:
         """Recorded values less those that the initial states use up."""
         return max(self.latent.num_observed - self.problem.segments.count * self.latent.prior_sd.shape[1], 1)
+
+    def about(self, point: Point, predicted: np.ndarray) -> "Linearization | None":
+        """The same sensitivities to psi about another point, whose prediction is known; None where it diverged."""
+        if not np.isfinite(predicted).all():
+            return None
+        problem = self.problem
+        error = problem.residuals(predicted) * problem.weight
+        stacked = self.latent.stack_whitened(
+            problem.measurement.bend(error)[..., None], tangent(problem, point.start)[..., None]
+        )
+        slopes = problem.slopes(point.z) / problem.slopes(self.point.z)
+        return replace(self, point=point, stacked=stacked, columns=self.columns * slopes, exact=False)
 
     def gram(
         self,

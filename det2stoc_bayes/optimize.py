@@ -13,6 +13,8 @@ from det2stoc_bayes.problem import FARTHEST, Problem
 
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
 SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
+NUM_CHORDS = 4  # steps with the same sensitivities
+CONTRACTION = 0.3  # of the last step's gain: a step that promises more needs new sensitivities
 NUM_RESPREADS = 8  # rounds in which the spreads of psi by recording settle
 LARGEST_STEP = 10.0  # prior sds of an effect in one iteration
 
@@ -73,6 +75,13 @@ def fit_many(
     return fits
 
 
+def sketch(points: Sequence[tuple[Problem, Point]], *, tolerance: float) -> list[Fit | None]:
+    """Roughly `fit_many`, with sensitivities taken but once: what a hypothesis is worth at the least."""
+    linear = {i: lin for i, lin in enumerate(linearize(points)) if lin is not None}
+    linear, _ = _descended(linear, tolerance, True)
+    return [summarize(linear[i], True, False) if i in linear else None for i in range(len(points))]
+
+
 def _fit_held(
     points: Sequence[tuple[Problem, Point]], *, max_iterations: int, tolerance: float, free_scale: bool
 ) -> list[Fit | None]:
@@ -80,16 +89,15 @@ def _fit_held(
     linear = {i: lin for i, lin in enumerate(linearize(points)) if lin is not None}
     done = dict.fromkeys(linear, False)
     for _ in range(max_iterations):
-        todo = [i for i, over in done.items() if not over]
+        todo = {i: linear[i] for i, over in done.items() if not over}
         if not todo:
             break
-        steps = {i: _newton_step(linear[i], free_scale) for i in todo}
-        for i in todo:
-            done[i] = not steps[i].gain > SETTLED * tolerance  # NaN included
-        trials = {i: _moved(linear[i], steps[i], 1.0) for i in todo if not done[i]}
-        for i, lin in _improved(linear, steps, trials, tolerance).items():
-            done[i] = lin is None or steps[i].gain < tolerance
-            linear[i] = linear[i] if lin is None else lin
+        moved, over = _descended(todo, tolerance, free_scale)
+        done |= over
+        linear |= moved
+        changed = [i for i, lin in moved.items() if not (lin.exact or over[i])]
+        again = linearize([(moved[i].problem, moved[i].point) for i in changed]) if changed else []
+        linear |= {i: lin for i, lin in zip(changed, again, strict=True) if lin is not None}
     return [summarize(linear[i], free_scale, done[i]) if i in linear else None for i in range(len(points))]
 
 
@@ -100,20 +108,50 @@ class _Step:
     s2: float
 
 
-def _improved(linear, steps, trials, tolerance) -> dict[int, Linearization | None]:
-    """Linearizations at the moved points; where a full step is no improvement, at the best fraction of it."""
-    if not trials:
-        return {}
-    full = dict(zip(trials, linearize([(linear[i].problem, p) for i, p in trials.items()]), strict=True))
-    worse = [i for i, lin in full.items() if lin is None or _height(lin, steps[i].s2) > _height(linear[i], steps[i].s2)]
-    full |= dict.fromkeys(worse)
-    search = [i for i in worse if steps[i].gain >= tolerance]
-    if not search:
-        return full
-    found = _line_search([linear[i] for i in search], [steps[i] for i in search])
-    better = {i: p for i, p in zip(search, found, strict=True) if p is not None}
-    again = linearize([(linear[i].problem, p) for i, p in better.items()]) if better else []
-    return full | dict(zip(better, again, strict=True))
+def _descended(
+    linear: dict[int, Linearization], tolerance: float, free_scale: bool
+) -> tuple[dict[int, Linearization], dict[int, bool]]:
+    """Steps that each cost one simulation, with the same sensitivities while they serve; and who has arrived.
+
+    The last step is short and from exact sensitivities, which stay those of the point that it leads to.
+    """
+    now, over, live = dict(linear), dict.fromkeys(linear, False), set(linear)
+    last = dict.fromkeys(linear, np.inf)
+    for _ in range(NUM_CHORDS):
+        steps = {i: _newton_step(now[i], free_scale) for i in live}
+        for i in [i for i, step in steps.items() if not step.gain > SETTLED * tolerance]:  # NaN included
+            over[i] = now[i].exact
+            live.remove(i)
+        live = {i for i in live if steps[i].gain <= CONTRACTION * last[i]}
+        if not live:
+            break
+        order = sorted(live)
+        trials = _tried([now[i] for i in order], [_moved(now[i], steps[i], 1.0) for i in order])
+        stuck = []
+        for i, lin in zip(order, trials, strict=True):
+            last[i] = steps[i].gain
+            if lin is None or _height(lin, steps[i].s2) > _height(now[i], steps[i].s2):
+                live.remove(i)
+                stuck += [i] if now[i].exact else []
+                continue
+            if steps[i].gain < tolerance:  # old sensitivities lead a little beside the top: they are not the last word
+                over[i] = now[i].exact
+                live.remove(i)
+            now[i] = lin
+        over |= {i: steps[i].gain < tolerance for i in stuck}
+        search = [i for i in stuck if not over[i]]
+        if search:
+            found = _line_search([now[i] for i in search], [steps[i] for i in search])
+            over |= {i: lin is None for i, lin in zip(search, found, strict=True)}
+            now |= {i: lin for i, lin in zip(search, found, strict=True) if lin is not None}
+    return now, over
+
+
+def _tried(linear: Sequence[Linearization], points: Sequence[Point]) -> list[Linearization | None]:
+    """The same sensitivities about other points, each simulated once."""
+    requests = [lin.problem.request(p.z[None], p.start) for lin, p in zip(linear, points, strict=True)]
+    predicted = simulate([(lin.problem, lin.point) for lin in linear], requests)
+    return [lin.about(p, one) for lin, p, one in zip(linear, points, predicted, strict=True)]
 
 
 def fit_starts(problem: Problem, z: Float[np.ndarray, " size"], *, num_iterations: int = 4) -> Linearization | None:
@@ -196,12 +234,12 @@ def most_probable(
 
     # A psi may go anywhere in its prior, whose bend is exact, short of where quantiles lose their digits.
     psi = np.arange(problem.size) < problem.num_psi
-    low = np.where(psi, np.minimum(-FARTHEST, z), z - LARGEST_STEP)
+    low = np.where(psi, np.minimum(-FARTHEST, z), np.minimum(np.maximum(z - LARGEST_STEP, problem.floor), z))
     high = np.where(psi, np.maximum(FARTHEST, z), z + LARGEST_STEP)
     return least_squares(misfit, z, bounds=(low - 1e-9, high + 1e-9), xtol=1e-10, ftol=1e-12).x
 
 
-def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> list[Point | None]:
+def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> list[Linearization | None]:
     """The best of several fractions of each step by simulation; None where none is an improvement."""
     tried, requests = [], []
     for lin, step in zip(linear, steps, strict=True):
@@ -216,7 +254,8 @@ def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> lis
     for lin, step, points, p in zip(linear, steps, tried, predicted, strict=True):
         objective = _objective(lin, points, p, step.s2)
         i = int(np.argmin(objective))
-        best.append(points[i] if objective[i] < _height(lin, step.s2) else None)
+        at = p.reshape(len(points), -1, *p.shape[1:])[i]
+        best.append(lin.about(points[i], at) if objective[i] < _height(lin, step.s2) else None)
     return best
 
 

@@ -101,6 +101,13 @@ class Problem:
         """z - at in coordinates in which psi is linear, of unit slope at `at`: what a prediction linear in psi sees."""
         return self.straightener(at)(z)
 
+    def slopes(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """d psi / dz at z, 1 for the other unknowns and where psi stands still in double precision."""
+        out = np.ones(self.size)
+        for b in self.unknowns.blocks:
+            out[b.begin] = b.tangent(float(z[b.begin]))[1] or 1.0
+        return out
+
     def straightener(
         self, at: Float[np.ndarray, " size"]
     ) -> Callable[[Float[np.ndarray, " size"]], Float[np.ndarray, " size"]]:
@@ -159,6 +166,12 @@ class Problem:
             return list(together)
         single = np.setdiff1d(np.arange(self.size), self.unknowns.owned)
         return [*(np.array([i]) for i in single), *together]
+
+    @cached_property
+    def floor(self) -> Float[np.ndarray, " size"]:
+        """The least that each unknown may be: parameters of effects that must be positive."""
+        parts = [e.effect.floor(e.typical) for e in self.effects]
+        return np.concatenate([np.full(self.num_psi, -np.inf), *parts])
 
     def effect_values(self, z: Array, xp: Any = np) -> list[dict[str, Array]]:
         """Parameters (...) or (..., 3) of each effect, in their own units, from unknowns (..., size)."""

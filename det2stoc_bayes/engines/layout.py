@@ -7,6 +7,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.engines.rotations import rotated
+
 POSITION_PARTS = {"x": 0, "y": 1, "z": 2, "qw": 3, "qx": 4, "qy": 5, "qz": 6}
 VELOCITY_PARTS = {"vx": 0, "vy": 1, "vz": 2, "wx": 3, "wy": 4, "wz": 5}
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -62,12 +64,18 @@ def quaternion_groups(columns: Sequence[str], quaternions: Sequence[Sequence[str
 def integrate_positions(
     model: mujoco.MjModel, qpos: Float[np.ndarray, "sims nq"], change: Float[np.ndarray, "sims nv"]
 ) -> Float[np.ndarray, "sims nq"]:
-    """Positions moved along tangent vectors (quaternions by mj_integratePos)."""
+    """Positions moved along tangent vectors, as mj_integratePos does."""
     if model.nq == model.nv:
         return qpos + change
     out = np.array(qpos)
-    for row, step in zip(out, change, strict=True):
-        mujoco.mj_integratePos(model, row, np.ascontiguousarray(step), 1.0)
+    for kind, q, v in zip(model.jnt_type, model.jnt_qposadr, model.jnt_dofadr, strict=True):
+        if kind in (SLIDE, HINGE):
+            out[:, q] += change[:, v]
+            continue
+        if kind == FREE:
+            out[:, q : q + 3] += change[:, v : v + 3]
+            q, v = q + 3, v + 3
+        out[:, q : q + 4] = rotated(out[:, q : q + 4], change[:, v : v + 3])
     return out
 
 

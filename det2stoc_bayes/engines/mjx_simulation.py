@@ -20,6 +20,7 @@ from det2stoc_bayes.mismatch.effects.base import BodyState, JointState, PlacedEf
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missing, which nothing here uses
     from mujoco import mjx
+    from mujoco.mjx._src.forward import _integrate_pos  # it has no public name
 
 SLOW_SPIN = 3e-8  # rad/s; MJX takes less than 1e-8 for no rotation at all, with no derivatives either
 FAR = 1e30  # a limit that is none
@@ -205,13 +206,17 @@ class Simulation:
         return m.replace(dof_damping=damping), d.replace(qfrc_applied=force)
 
     def _body_forces(self, m, d, parameters):
-        wrench = d.xfrc_applied
+        wrench, now = d.xfrc_applied, d
+        if self._pushed and self._lead:
+            now = d.replace(qpos=_integrate_pos(self._kinds.jnt_type, d.qpos, d.qvel, self._lead))
+            now = mjx.com_vel(m, mjx.com_pos(m, mjx.kinematics(m, now)))
         for i in self._pushed:
             body = self.effects[i].element.body
-            spin, lever = d.cvel[body, :3], d.xipos[body] - d.subtree_com[m.body_rootid[body]]
+            spin, lever = now.cvel[body, :3], now.xipos[body] - now.subtree_com[m.body_rootid[body]]
             geoms = np.flatnonzero(self._kinds.geom_bodyid == body)
             shapes = tuple(int(t) for t in self._kinds.geom_type[geoms])
-            state = BodyState(d.cvel[body, 3:] + jnp.cross(spin, lever), d.time, spin, shapes, m.geom_size[geoms])
+            velocity, time = now.cvel[body, 3:] + jnp.cross(spin, lever), d.time + self._lead
+            state = BodyState(velocity, time, spin, shapes, m.geom_size[geoms])
             wrench = wrench.at[body, :3].add(self.effects[i].effect.body_force(parameters[i], state, jnp))
         return d.replace(xfrc_applied=wrench)
 

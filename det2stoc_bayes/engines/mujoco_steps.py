@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines import drive
 from det2stoc_bayes.engines.base import EffectRows
+from det2stoc_bayes.engines.layout import integrate_positions
 from det2stoc_bayes.mismatch.effects.base import BodyState, JointState
 
 _NONE, _VEL = mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL
@@ -29,8 +30,8 @@ class Stepper:
         self.momentary = [e for e in stepped if e.placed.effect.writes]
         self.pushed = [e for e in stepped if e.placed.effect.uses("body_force")]
         self.forced = [e for e in stepped if e.placed.effect.uses("joint_force")]
-        # A force is held over a step. RK4 weighs the whole step, so its position is taken at the middle; the Euler
-        # integrators take every position force at the beginning.
+        # A force is held over a step. RK4 weighs the whole step, so its position is taken at the middle (a force along
+        # an arm would turn it otherwise); the Euler integrators take every position force at the beginning.
         self.lead = 0.5 * self.dt if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
         self.qpos, self.qvel = batch.bind("qpos"), batch.bind("qvel")
         self.force, self.wrench = batch.bind("qfrc_applied"), batch.bind("xfrc_applied")
@@ -58,9 +59,10 @@ class Stepper:
         live = {name: batch.bind(name) for name in items}
         out = {name: np.empty((len(self.qpos), num_steps, array.shape[1])) for name, array in live.items()}
         stage = _VEL if self.pushed else _NONE
-        apart = bool(self.pushed) and "sensordata" in live  # the stages of the new state would overwrite its sensors
+        # The stages of the new state would overwrite its sensors, those of the middle are not the ones to step from.
+        apart = bool(self.pushed) and ("sensordata" in live or self.lead > 0)
         if self.pushed:
-            batch.forward(stage=stage)
+            self._place()
         for k in range(num_steps):
             self.prepare(commands[:, k])
             batch.step(stage=_NONE if apart else stage)
@@ -68,7 +70,7 @@ class Stepper:
             for name, array in live.items():
                 out[name][:, k] = array
             if apart:
-                batch.forward(stage=stage)
+                self._place()
         self.prepare(commands[:, num_steps])
         return out
 
@@ -84,13 +86,23 @@ class Stepper:
             for name, value in changed.items():
                 self.fields[name][e.rows] = value
         if self.momentary and self.pushed:
-            self.batch.forward(stage=_VEL)  # a batch that keeps its stages would step with the fields before
+            self._place()  # a batch that keeps its stages would step with the fields before
         for e in self.forced:
             state = self._joint_state(e)
             self.force[e.rows, e.placed.element.dof] += e.placed.effect.joint_force(e.parameters, state, np)
         for e in self.pushed:
             push = e.placed.effect.body_force(e.parameters, self._body_state(e), np)
             self.wrench[e.rows, e.placed.element.body, :3] += push
+
+    def _place(self) -> None:
+        """Velocities and places of bodies for the step that begins; RK4's in its middle."""
+        if not self.lead:
+            self.batch.forward(stage=_VEL)
+            return
+        qpos = np.array(self.qpos)
+        self.qpos[:] = integrate_positions(self.model, qpos, self.lead * self.qvel)
+        self.batch.forward(stage=_VEL)
+        self.qpos[:] = qpos
 
     def _joint_state(self, e: EffectRows) -> JointState:
         at, rows, time = e.placed.element, e.rows, self.time[e.rows] + self.lead
@@ -114,4 +126,4 @@ class Stepper:
         sizes = self.model.geom_size[geoms] if self.sizes is None else self.sizes[rows][:, geoms]
         shapes = tuple(int(t) for t in self.model.geom_type[geoms])
         velocity = cvel[:, 3:] + np.cross(cvel[:, :3], lever)
-        return BodyState(velocity, self.time[rows], cvel[:, :3], shapes, sizes)
+        return BodyState(velocity, self.time[rows] + self.lead, cvel[:, :3], shapes, sizes)

@@ -10,17 +10,18 @@ from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence, log_told
 from det2stoc_bayes.mismatch.horizon import extend
-from det2stoc_bayes.mismatch.pairs import pairs
+from det2stoc_bayes.mismatch.pairs import pairs, varied
 from det2stoc_bayes.mismatch.screen import Screened, screen
-from det2stoc_bayes.optimize import Fit, fit_many, summarize
+from det2stoc_bayes.optimize import Fit, fit_many, sketch, summarize
 from det2stoc_bayes.problem import Problem
 
 NUM_REFINED = 5
 NUM_OTHERS = 3
-NUM_PAIRS = 4
+NUM_PAIRS = 6
 PROMISING = 0.3  # of the best screened evidence: what earns less is not refined
-RACE = 50.0  # nats behind the best after two iterations at which a candidate is no longer refined
+RACE = 50.0  # nats behind the best after a sketch at which a candidate is no longer refined
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
+AT_WALL = 1e-6  # prior sds from where a positive parameter is absent
 SETTLED = 0.3  # nats that a further iteration may gain
 MAX_EFFECTS = 3
 Progress = Callable[[str, int, int], None]  # stage, done, total
@@ -87,10 +88,7 @@ def _shortlist(worth: Sequence[Screened]) -> list[Screened]:
 
 
 def refine(base: Fit, worth: Sequence[Screened], progress: Progress) -> list[Ranked]:
-    """Joint Gauss-Newton of psi and each candidate, best evidence first; wrong-signed candidates are dropped.
-
-    After a few iterations only those that are still in the race go on.
-    """
+    """Joint Gauss-Newton of psi and each candidate, best evidence first."""
     progress("refining the best", 0, len(worth))
     points = [_added(base, s.change, [(s, s.coefficients)]) for s in worth]
     fits = race(base, points)
@@ -104,7 +102,7 @@ def refine(base: Fit, worth: Sequence[Screened], progress: Progress) -> list[Ran
 
 def refine_pairs(base: Fit, screened: Sequence[Screened], least: float) -> Fit | None:
     """The best fit with two additions at once, if its screening promises more than `least` nats."""
-    worth = [p for p in pairs(base, screened)[:NUM_PAIRS] if p.log_evidence > least]
+    worth = varied([p for p in pairs(base, screened) if p.log_evidence > least], NUM_PAIRS)
     points = [_added(base, p.change, list(zip(p.members, p.coefficients, strict=True))) for p in worth]
     fits = race(base, points)
     if not fits:
@@ -126,24 +124,23 @@ def _added(
 
 
 def race(base: Fit, points: Sequence[tuple[Problem, Point]]) -> list[Fit]:
-    """Fits of several hypotheses; after a few iterations only those that are still in the race go on."""
+    """Fits of several hypotheses; after a sketch of each only those that are still in the race go on.
+
+    Positive parameters that end where the effect is absent drop their hypothesis.
+    """
     if not points:
         return []
     first = len(base.problem.effects)
-    fits = [
-        f
-        for f in fit_many(points, max_iterations=2, tolerance=_tolerance(base))
-        if f is not None and _allowed(f, first)
-    ]
+    fits = [f for f in sketch(points, tolerance=_tolerance(base)) if f is not None]
     if not fits:
         return []
     share = effective_share(min(fits, key=lambda f: f.chi2))
     top = max(log_evidence(f, share) for f in fits)
-    racing = [f for f in fits if log_evidence(f, share) > top - RACE and not f.converged]
+    racing = [f for f in fits if log_evidence(f, share) > top - RACE]
     on = [(f.problem, f.point) for f in racing]
     further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
-    better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None and _allowed(g, first)}
-    return [better.get(id(f), f) for f in fits]
+    better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None}
+    return [f for f in (better.get(id(f), f) for f in fits) if _allowed(f, first)]
 
 
 def gain(base: Fit, fit: Fit, share: float) -> float:
@@ -157,14 +154,9 @@ def _tolerance(fit: Fit) -> float:
 
 
 def _allowed(fit: Fit, first: int) -> bool:
-    """Whether the effects from `first` on have the signs that they must have."""
-    values = fit.problem.effect_values(fit.point.z[None])[first:]
-    return all(
-        (np.asarray(v[p.name]) > p.absent).all()
-        for e, v in zip(fit.problem.effects[first:], values, strict=True)
-        for p in e.effect.parameters
-        if p.positive
-    )
+    """Whether no parameter of the effects from `first` on ended at the wall that keeps it positive."""
+    begin = fit.problem.num_psi + sum(e.size for e in fit.problem.effects[:first])
+    return bool((fit.point.z > fit.problem.floor + AT_WALL)[begin:].all())
 
 
 def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None) -> Explanation:
@@ -181,13 +173,13 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
     assert first is not None
     if len(current.problem.effects) == 0:
         return Explanation(before, before, (first,), len(pool), 1.0)
-    current = _prune(current, needed)
+    current, lean = _prune(current, needed)
     same = current.problem.segments.count == before.problem.segments.count
     ranked = {r.placed for r in first.ranked}  # a later effect, left alone once the first was dropped, may not be there
     if len(current.problem.effects) == 1 and same and current.problem.effects[0] in ranked:
         return Explanation(before, current, (first,), len(pool), effective_share(current))
     before = before if same else _refit(current, ())
-    slots = tuple(_judge(current, i, pool, progress) for i in range(len(current.problem.effects)))
+    slots = tuple(_judge(current, i, lean.get(e), pool, progress) for i, e in enumerate(current.problem.effects))
     return Explanation(before, current, slots, len(pool), effective_share(current))
 
 
@@ -206,10 +198,10 @@ def _together(base: Fit, slot: Slot, needed: float) -> Fit | None:
     return found if min(told, gain(base, found, share) - gain(base, alone.fit, share)) > needed else None
 
 
-def _judge(final: Fit, i: int, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
+def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
     """What could stand in place i of the list, the other effects staying; the present one competes too."""
-    base = without(final, i)
-    slot = look(base, pool, progress)
+    slot = look(base or without(final, i), pool, progress)
+    base = slot.base
     own = Ranked(final.problem.effects[i], _reordered(final, i), 0.0)
     own = replace(own, gain=gain(base, own.fit, effective_share(final)))
     rest = [r for r in slot.ranked if r.placed != own.placed]
@@ -266,11 +258,13 @@ def _reordered(fit: Fit, i: int) -> Fit:
     return summarize(moved, True, fit.converged)
 
 
-def _prune(fit: Fit, needed: float) -> Fit:
-    """Drops effects that no longer earn their place beside the later ones."""
+def _prune(fit: Fit, needed: float) -> tuple[Fit, dict[PlacedEffect, Fit]]:
+    """Drops effects that no longer earn their place beside the later ones; fits without each of those that stay."""
+    lean: dict[PlacedEffect, Fit] = {}
     for placed in fit.problem.effects[:-1]:
-        rest = tuple(e for e in fit.problem.effects if e != placed)
-        lean, share = _refit(fit, rest), effective_share(fit)
-        if gain(lean, fit, share) < needed:
-            fit = lean
-    return fit
+        rest = without(fit, fit.problem.effects.index(placed))
+        if gain(rest, fit, effective_share(fit)) < needed:
+            fit, lean = rest, {}
+        else:
+            lean[placed] = rest
+    return fit, lean

@@ -64,18 +64,18 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
             whole = held_out(after)
     named, negligible = [], []
     for i, placed in enumerate(after.problem.effects):
-        explains = _explained(after, i, held_before, whole, numerics is None)
+        explains = _explained(found, after, i, held_before, whole, numerics is None)
         if explains < NEGLIGIBLE:
             negligible.append((placed, explains))
         else:
             chosen = _class_of(places[i], placed)
             named.append(Named(placed, chosen, explains, tuple(c for c in places[i] if c is not chosen)))
     for placed, _ in negligible:
-        after = without(after, list(after.problem.effects).index(placed))
+        after = _lean(found, after, list(after.problem.effects).index(placed))
     if negligible and named:  # what the others explain is told beside those that stay
         whole = held_out(after)
         kept = list(after.problem.effects)
-        shares = [_explained(after, kept.index(n.placed), held_before, whole, numerics is None) for n in named]
+        shares = [_explained(found, after, kept.index(n.placed), held_before, whole, numerics is None) for n in named]
         named = [replace(n, explains=s) for n, s in zip(named, shares, strict=True)]
     if not named and numerics is None:
         verdict, after = "no_mismatch", before
@@ -97,10 +97,17 @@ def _class_of(place: list[Class], placed: PlacedEffect) -> Class:
     return next(c for c in place if any(r.placed == placed for r in c.alike))
 
 
-def _explained(after: Fit, i: int, believed: HeldOut, whole: HeldOut, at_believed_step: bool) -> float:
+def _lean(found: Explanation, after: Fit, i: int) -> Fit:
+    """The best fit without effect i; that of the explanation where it still stands."""
+    return found.slots[i].base if after is found.after else without(after, i)
+
+
+def _explained(
+    found: Explanation, after: Fit, i: int, believed: HeldOut, whole: HeldOut, at_believed_step: bool
+) -> float:
     """Share of the held-out error that goes with effect i; without a single one the believed model stands."""
     alone = len(after.problem.effects) == 1 and at_believed_step
-    return _share(believed, believed if alone else held_out(without(after, i)), whole)
+    return _share(believed, believed if alone else held_out(_lean(found, after, i)), whole)
 
 
 def _share(believed: HeldOut, base: HeldOut, better: HeldOut) -> float:

@@ -1,5 +1,6 @@
 """Two additions at once: where each of two effects is hidden by the lack of the other, neither is found alone."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -7,11 +8,13 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.evidence import profile
-from det2stoc_bayes.mismatch.screen import Screened
-from det2stoc_bayes.optimize import Fit, noise_scale
+from det2stoc_bayes.mismatch.addition import add
+from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.screen import Screened, one_sided
+from det2stoc_bayes.optimize import Fit
 
 MOST = 40  # candidates that are paired
+MOST_OFTEN = 3  # of the pairs that are refined: a candidate that goes well with everything crowds others out
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +36,18 @@ def pairs(fit: Fit, screened: Sequence[Screened]) -> list[Pair]:
     system = _System.of(fit, chosen)
     found = [p for i, j in combinations(range(len(chosen)), 2) if (p := system.judge(i, j)) is not None]
     return sorted(found, key=lambda p: -p.log_evidence)
+
+
+def varied(found: Sequence[Pair], count: int) -> list[Pair]:
+    """The best of the pairs, none of whose members is in more than MOST_OFTEN of them."""
+    out: list[Pair] = []
+    seen: Counter[PlacedEffect] = Counter()
+    for pair in found:
+        members = [s.placed for s in pair.members]
+        if len(out) < count and all(seen[m] < MOST_OFTEN for m in members):
+            out.append(pair)
+            seen.update(members)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,23 +76,14 @@ class _System:
         a, b = self.chosen[i], self.chosen[j]
         if a.placed.effect.name == b.placed.effect.name and a.placed.element == b.placed.element:
             return None
-        size, z = self.fit.problem.size, self.fit.point.z
+        size, k = self.fit.problem.size, len(self.columns[i])
         at = np.concatenate([np.arange(size), self.columns[i], self.columns[j]])
-        whole, total = self.gram[np.ix_(at, at)], self.slope[at]
-        k = len(at) - size
-        spread = np.concatenate([np.full(len(s.coefficients), s.trial.sd**-2.0) for s in (a, b)])
-        pull, prior = np.concatenate([-z, np.zeros(k)]), np.concatenate([np.ones(size), spread])
-        s2 = self.fit.noise_scale
-        for _ in range(4):  # the noise scale and the coefficients determine each other
-            precision = whole / s2 + np.diag(prior)
-            step = np.linalg.solve(precision, total / s2 + pull)
-            chi2 = self.fit.chi2 - 2 * float(total @ step) + float(step @ whole @ step)
-            s2 = noise_scale(self.fit.linear, max(chi2, 1e-9), True)
-        parts = step[size : size + len(self.columns[i])], step[size + len(self.columns[i]) :]
-        if any(s.one_sided and len(c) == 1 and c[0] < 0 for s, c in zip((a, b), parts, strict=True)):
+        sd = np.concatenate([np.full(len(s.coefficients), s.trial.sd) for s in (a, b)])
+        positive = np.concatenate([one_sided(s.placed, s.trial) for s in (a, b)])
+        found = add(self.fit, self.gram[np.ix_(at, at)], self.slope[at], sd, positive)
+        if found is None:
             return None
-        n = self.fit.linear.degrees_of_freedom
-        penalty = float((spread * step[size:] ** 2).sum()) + float(((z + step[:size]) ** 2 - z**2).sum())
-        occam = np.linalg.slogdet(precision)[1] + np.linalg.slogdet(self.fit.covariance)[1] - np.log(spread).sum()
-        earned = profile(self.fit.chi2, self.fit.noise_scale, n) - profile(chi2, s2, n) - 0.5 * (penalty + float(occam))
-        return Pair((a, b), float(earned), parts, step[:size])
+        parts = found.coefficients[:k], found.coefficients[k:]
+        if any(not p.any() for p in parts):  # one of them is wrong-signed
+            return None
+        return Pair((a, b), found.log_evidence, parts, found.change)

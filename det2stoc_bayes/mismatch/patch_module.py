@@ -19,12 +19,12 @@ CLOCK = "opt.timestep"  # an effect that changes it makes the recorded clock ano
 # Hook of an effect -> its table in effects.py, and the functions of the runtime that serve it.
 _COLUMNS = ("measure", "at_time", "arrays", "place_of")
 _SERVED: dict[str, tuple[str, tuple[str, ...]]] = {
-    "joint_force": ("JOINT_FORCES", ("add_joint_forces", "joint_state")),
-    "body_force": ("BODY_FORCES", ("add_body_forces", "copy_state")),
+    "joint_force": ("JOINT_FORCES", ("add_joint_forces", "joint_state", "lead_of")),
+    "body_force": ("BODY_FORCES", ("add_body_forces", "copy_state", "lead_of")),
     "clock": ("CLOCKS", ("keep_clock",)),
     "momentary": (
         "MOMENTARY",
-        ("rewrite_fields", "restore_fields", "set_field", "joint_and_actuators", "joint_state", "drive_of"),
+        ("rewrite_fields", "restore_fields", "set_field", "joint_and_actuators", "joint_state", "lead_of", "drive_of"),
     ),
     "control": ("CONTROLS", ("rewrite_controls", "follow")),
     "sample_time": ("SAMPLE_TIMES", ("remember_state", "follow")),

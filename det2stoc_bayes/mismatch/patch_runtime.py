@@ -47,9 +47,14 @@ def add_joint_forces(model, data):
         data.qfrc_applied[dof] += np.asarray(law(p, joint_state(model, data, joint), np)).item()
 
 
+def lead_of(model):
+    """How far into a step its forces are taken: RK4 weighs the whole step, so that it gets the middle's."""
+    return 0.5 * model.opt.timestep if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
+
+
 def joint_state(model, data, joint):
-    """A joint's position, speed and time; RK4 weighs the whole step, so that it gets the middle value."""
-    lead = 0.5 * model.opt.timestep if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
+    """A joint's position, speed and time."""
+    lead = lead_of(model)
     time = np.float64(data.time + lead)
     if joint < 0:
         return SimpleNamespace(q=0.0, v=0.0, t=time)
@@ -137,6 +142,8 @@ def add_body_forces(model, data):
     """Adds to xfrc_applied, which acts at the centre of mass; its velocity is computed beside `data`."""
     scratch = memory_of(model, data).scratch
     copy_state(model, data, scratch)
+    lead = lead_of(model)
+    mujoco.mj_integratePos(model, scratch.qpos, data.qvel, lead)
     mujoco.mj_kinematics(model, scratch)
     mujoco.mj_comPos(model, scratch)
     mujoco.mj_comVel(model, scratch)
@@ -147,7 +154,7 @@ def add_body_forces(model, data):
         geoms = np.flatnonzero(model.geom_bodyid == body)
         shapes, sizes = tuple(model.geom_type[geoms].tolist()), model.geom_size[geoms]
         moving = {"velocity": velocity[3:].copy(), "spin": velocity[:3].copy()}
-        state = SimpleNamespace(**moving, t=data.time, shapes=shapes, sizes=sizes)
+        state = SimpleNamespace(**moving, t=data.time + lead, shapes=shapes, sizes=sizes)
         data.xfrc_applied[body, :3] += law(p, state, np)
 
 

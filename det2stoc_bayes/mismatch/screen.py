@@ -4,13 +4,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from det2stoc_bayes.engines.base import EffectRows
+from det2stoc_bayes.mismatch.addition import add
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
-from det2stoc_bayes.mismatch.evidence import profile
 from det2stoc_bayes.mismatch.response import Response
-from det2stoc_bayes.optimize import Fit, noise_scale
+from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import merge_requests
 
 WRONG_SIGN = -0.69  # nats of a candidate whose coefficient has a sign that it cannot have
@@ -29,10 +29,11 @@ class Screened:
     change: Float[np.ndarray, " size"]  # of the current unknowns, when the trial is added
     response: Float[np.ndarray, "segments stacked columns"] | None = None  # what no initial state explains of it
 
-    @property
-    def one_sided(self) -> bool:
-        """Whether a negative coefficient is no effect."""
-        return self.placed.effect.parameters[0].positive or self.trial.one_sided
+
+def one_sided(placed: PlacedEffect, trial: Trial) -> Bool[np.ndarray, " columns"]:
+    """Which coefficients are no effect where they are negative."""
+    k = len(trial.columns)
+    return np.full(k, trial.one_sided or (k == 1 and placed.effect.parameters[0].positive))
 
 
 def screen(
@@ -108,23 +109,8 @@ def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray) ->
     both = np.concatenate([j, x], -1)
     gram = np.einsum("snk,snl->kl", both, both)
     slope = np.einsum("snk,sn->k", both, r)
-    d, k = lin.problem.size, columns.shape[-1]
-    s2 = fit.noise_scale
-    # Residuals were taken at the fit's optimum, where the prior pulls by -z.
-    pull = np.concatenate([-lin.point.z, np.zeros(k)])
-    prior = np.concatenate([np.ones(d), np.full(k, trial.sd**-2.0)])
-    for _ in range(4):  # the noise scale and the coefficients determine each other
-        precision = gram / s2 + np.diag(prior)
-        step = np.linalg.solve(precision, slope / s2 + pull)
-        chi2 = fit.chi2 - 2 * float(slope @ step) + float(step @ gram @ step)
-        s2 = noise_scale(lin, max(chi2, 1e-9), True)
-    found = Screened(placed, trial, WRONG_SIGN, fit.chi2 - chi2, np.zeros(k), np.zeros(d), x)
-    if found.one_sided and k == 1 and step[d] < 0:
-        return found
-    n = lin.degrees_of_freedom
-    penalty = float((prior[d:] * step[d:] ** 2).sum()) + float(((lin.point.z + step[:d]) ** 2 - lin.point.z**2).sum())
-    occam = (
-        np.linalg.slogdet(precision)[1] - np.linalg.slogdet(np.linalg.inv(fit.covariance))[1] - np.log(prior[d:]).sum()
-    )
-    log_evidence = profile(fit.chi2, fit.noise_scale, n) - profile(chi2, s2, n) - 0.5 * penalty - 0.5 * float(occam)
-    return replace(found, log_evidence=float(log_evidence), coefficients=step[d:], change=step[:d])
+    positive = one_sided(placed, trial)
+    found = add(fit, gram, slope, np.full(len(positive), trial.sd), positive)
+    if found is None:
+        return Screened(placed, trial, WRONG_SIGN, 0.0, np.zeros(len(positive)), np.zeros(lin.problem.size), x)
+    return Screened(placed, trial, found.log_evidence, found.gain, found.coefficients, found.change, x)

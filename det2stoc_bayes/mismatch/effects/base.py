@@ -27,8 +27,8 @@ AXES = "xyz"
 class EffectParameter:
     """A parameter's name, its unit (slide form, hinge form) and the value at which the effect is absent.
 
-    A `positive` parameter has a symmetric prior all the same, since Gauss-Newton needs no wall at zero; an effect whose
-    fitted value is not positive is rejected.
+    A `positive` parameter has a symmetric prior all the same, whose other half a fit never enters (`Effect.floor`); an
+    effect that ends at the wall is rejected.
     """
 
     name: str
@@ -111,6 +111,13 @@ class Effect:
         """Inverse of `from_normal`."""
         priors = self.priors(typical)
         return np.concatenate([np.ravel(priors[p.name].to_normal(np.asarray(values[p.name]))) for p in self.parameters])
+
+    def floor(self, typical: Typical) -> Float[np.ndarray, " unknowns"]:
+        """The least that each standard normal may be: where a positive parameter is absent, -inf elsewhere."""
+        priors = self.priors(typical)
+        with np.errstate(divide="ignore"):
+            lowest = [float(priors[p.name].to_normal(p.absent)) if p.positive else -np.inf for p in self.parameters]
+        return np.repeat(lowest, [p.size for p in self.parameters])
 
     # --- screening --------------------------------------------------------------------------------------------
     def trials(self, typical: Typical) -> list[Trial]:

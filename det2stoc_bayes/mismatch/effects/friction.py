@@ -40,17 +40,23 @@ class StribeckFriction(JointEffect):
             [values["coulomb"] / scale, more / scale, float(self.priors(typical)["velocity"].to_normal(velocity))]
         )
 
+    def floor(self, typical):
+        """Neither friction in motion nor what it has more at rest is negative."""
+        return np.array([0.0, 0.0, -np.inf])
+
     def trials(self, typical):
         """Friction of constant size and the peak at rest as two columns, for a few widths of the peak."""
         step = 0.003 * typical.force
         both, peak = {"coulomb": step, "static": step}, {"coulomb": 0.0, "static": step}
-        return [Trial(tuple({**c, "velocity": f * typical.speed} for c in (both, peak))) for f in FRACTIONS]
+        return [
+            Trial(tuple({**c, "velocity": f * typical.speed} for c in (both, peak)), one_sided=True) for f in FRACTIONS
+        ]
 
     def combine(self, trial, coefficients, typical):
         """Sizes add; both stay above 0."""
         step = trial.columns[0]["coulomb"]
-        moving = max(float(coefficients[0]), 1.0) * step
-        peak = max(float(coefficients[0] + coefficients[1]), 1.0) * step
+        moving = max(float(coefficients[0]), 0.0) * step
+        peak = moving + max(float(coefficients[1]), 0.0) * step
         return {"coulomb": moving, "static": peak, "velocity": trial.columns[0]["velocity"]}
 
     def momentary(self, p, fields, s, at, xp):
