@@ -76,9 +76,11 @@ def fit_many(
 
 
 def sketch(points: Sequence[tuple[Problem, Point]], *, tolerance: float) -> list[Fit | None]:
-    """Roughly `fit_many`, with sensitivities taken but once: what a hypothesis is worth at the least."""
+    """Roughly `fit_many`, with sensitivities taken but twice: what a hypothesis is worth at the least."""
     linear = {i: lin for i, lin in enumerate(linearize(points)) if lin is not None}
-    linear, _ = _descended(linear, tolerance, True)
+    first, over = _descended(linear, tolerance, True)
+    on = _again({i: lin for i, lin in first.items() if not over[i]})
+    linear = first | _descended(on, tolerance, True)[0]
     return [summarize(linear[i], True, False) if i in linear else None for i in range(len(points))]
 
 
@@ -94,11 +96,15 @@ def _fit_held(
             break
         moved, over = _descended(todo, tolerance, free_scale)
         done |= over
-        linear |= moved
-        changed = [i for i, lin in moved.items() if not (lin.exact or over[i])]
-        again = linearize([(moved[i].problem, moved[i].point) for i in changed]) if changed else []
-        linear |= {i: lin for i, lin in zip(changed, again, strict=True) if lin is not None}
+        linear |= moved | _again({i: lin for i, lin in moved.items() if not over[i]})
     return [summarize(linear[i], free_scale, done[i]) if i in linear else None for i in range(len(points))]
+
+
+def _again(linear: dict[int, Linearization]) -> dict[int, Linearization]:
+    """With new sensitivities where the old ones were taken elsewhere."""
+    changed = [i for i, lin in linear.items() if not lin.exact]
+    new = linearize([(linear[i].problem, linear[i].point) for i in changed]) if changed else []
+    return linear | {i: lin for i, lin in zip(changed, new, strict=True) if lin is not None}
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from det2stoc_bayes.mismatch.evidence import probabilities, whitened
-from det2stoc_bayes.mismatch.explain import Ranked, Slot
+from det2stoc_bayes.mismatch.race import Ranked, Slot
 
 AGREEMENT = 0.3  # noise sds (rms) within which predictions agree
 LIKELIHOOD = 1.0  # nats within which the best fits agree

@@ -10,8 +10,8 @@ from det2stoc_bayes.mismatch.credence import Credence
 from det2stoc_bayes.mismatch.effects import CATALOGUE
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
 from det2stoc_bayes.mismatch.experiment import propose
-from det2stoc_bayes.mismatch.heldout import horizon_samples
-from det2stoc_bayes.mismatch.judgement import NEGLIGIBLE, Judgement, Named, excess_beyond_chance
+from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE, excess_beyond_chance, horizon_samples
+from det2stoc_bayes.mismatch.judgement import Judgement, Named
 from det2stoc_bayes.mismatch.statements import alternatives, draws, element, parameters, statement
 from det2stoc_bayes.mismatch.where import Condition
 

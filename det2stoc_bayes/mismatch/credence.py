@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.belief import Belief, Sampler, Temper, affordable, believe, with_chains
-from det2stoc_bayes.mismatch.explain import swap
 from det2stoc_bayes.mismatch.heldout import HeldOut, held_out
 from det2stoc_bayes.mismatch.judgement import Judgement
 from det2stoc_bayes.mismatch.leave_out import checked
 from det2stoc_bayes.mismatch.predictive import PredictiveCheck, check
+from det2stoc_bayes.mismatch.refit import swap
 from det2stoc_bayes.mismatch.whiteness import whiteness
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.psis import r_hats, stacking_weights, standard_errors

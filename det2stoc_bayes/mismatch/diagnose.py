@@ -13,7 +13,6 @@ from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.compose import Composer
 from det2stoc_bayes.mismatch.conflict import resolved
 from det2stoc_bayes.mismatch.credence import weigh
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.mismatch.explain import explain
 from det2stoc_bayes.mismatch.heldout import fitted
 from det2stoc_bayes.mismatch.horizon import climb
@@ -26,7 +25,6 @@ from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
 
-MAX_ROUNDS = 3  # explanations, each without what the last had in vain
 Progress = Callable[[str, int, int], None]  # stage, done, of how many
 
 
@@ -90,14 +88,9 @@ def diagnose(
     pool = candidates(before.problem)
     numerics = check_numerics(before, float(simulator.model.opt.timestep), len(pool))
     believed = before if numerics is None else numerics.fit
-    for _ in range(MAX_ROUNDS):
-        found = explain(believed, pool, progress)
-        progress("scoring held-out recordings", 0, 1)
-        judged = judge(found.before if numerics is None else _believed(found.before, before), found, numerics)
-        useless = {placed for placed, _ in judged.negligible}
-        if not useless or judged.after.noise_inflation < MODEL_ERROR:
-            break
-        pool = [c for c in pool if c not in useless]  # they stood where something else may help
+    found = explain(believed, pool, progress)
+    progress("scoring held-out recordings", 0, 1)
+    judged = judge(found.before if numerics is None else _believed(found.before, before), found, numerics)
     places = [list(judged.after.problem.effects).index(n.placed) for n in judged.named]
     when = [c for i in places for c in conditions(judged.after, i)] if judged.verdict == "mismatch" else []
     progress("scoring held-out recordings", 1, 1)

@@ -13,6 +13,8 @@ from det2stoc_bayes.segments import cut
 
 WARM_UP = 0.1  # of a stretch: the samples from which its initial state is estimated
 LEAST_WARM_UP = 10  # samples
+NEGLIGIBLE = 0.05  # of the held-out squared error beyond noise
+CHANCE = 3.0  # standard deviations of chi2 by which the held-out error exceeds noise by chance
 DIVERGED = 1e6  # whitened squared error a value at which a diverged rollout is counted
 
 
@@ -59,12 +61,23 @@ def evaluate(fit: Fit, z_by_recording: dict[str, np.ndarray], recordings: tuple[
     )
 
 
+def misfit(fit: Fit, z: np.ndarray, recording: Recording) -> float:
+    """Whitened squared error of one recording, initial states integrated out."""
+    problem, z = _posed(fit, z, recording)
+    lin = fit_starts(problem, z)
+    return DIVERGED * float(problem.segments.observed.sum()) if lin is None else own_integrated(lin)[0]
+
+
+def _posed(fit: Fit, z: np.ndarray, recording: Recording) -> tuple[Problem, np.ndarray]:
+    """The same hypothesis on one recording, at the fit's horizon."""
+    problem = fit.problem.on(cut((recording,), horizon_samples(fit), fit.problem.segments.columns))
+    return problem, fit.problem.carry(z, problem)
+
+
 def _one(fit: Fit, z: np.ndarray, recording: Recording):
     """Log density, chi2 and its count, squared rollout errors and their counts, rollout of one recording."""
-    segments = cut((recording,), horizon_samples(fit), fit.problem.segments.columns)
-    problem = fit.problem.on(segments)
-    z = fit.problem.carry(z, problem)
-    lin = fit_starts(problem, z)
+    problem, z = _posed(fit, z, recording)
+    segments, lin = problem.segments, fit_starts(problem, z)
     width = len(segments.columns)
     if lin is None:
         nothing, values = np.full((len(recording.time), width), np.nan), float(segments.observed.sum())
@@ -144,3 +157,16 @@ def fitted(fit: Fit) -> HeldOut:
     """The same for the recordings that were fitted, for pictures."""
     study = fit.problem.simulator.study
     return evaluate(fit, dict.fromkeys((r.name for r in study.recordings), fit.point.z), study.recordings)
+
+
+def share_explained(believed: HeldOut, base: HeldOut, better: HeldOut) -> float:
+    """Share of the believed model's held-out squared excess that goes when `base` becomes `better`."""
+    excess = excess_beyond_chance(believed)
+    return float(np.clip((base.chi2.sum() - better.chi2.sum()) / excess, -1.0, 1.0)) if excess else 0.0
+
+
+def excess_beyond_chance(scores: HeldOut) -> float:
+    """Squared whitened error in excess of noise, 0 while noise alone may well have made it."""
+    values = scores.num_values.sum()
+    excess = float(scores.chi2.sum() - values)
+    return excess if excess > CHANCE * np.sqrt(2 * values) else 0.0

@@ -2,18 +2,14 @@
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from det2stoc_bayes.mismatch.classes import Class, classes
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.explain import Explanation, swap, without
+from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.finding import SURE
-from det2stoc_bayes.mismatch.heldout import HeldOut, held_out
+from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE, HeldOut, held_out, share_explained
 from det2stoc_bayes.mismatch.numerics import Numerics
+from det2stoc_bayes.mismatch.refit import swap, without
 from det2stoc_bayes.optimize import Fit, fit_many
-
-NEGLIGIBLE = 0.05  # of the held-out squared error beyond noise
-CHANCE = 3.0  # standard deviations of chi2 by which the held-out error exceeds noise by chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +54,7 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     whole = held_out(after) if after.problem.effects else held_before
     share = 0.0
     if numerics is not None:
-        share = _share(held_before, held_before, held_out(numerics.fit))
+        share = share_explained(held_before, held_before, held_out(numerics.fit))
         if share < NEGLIGIBLE:
             numerics, after = None, _at_believed_step(after)
             whole = held_out(after)
@@ -107,17 +103,4 @@ def _explained(
 ) -> float:
     """Share of the held-out error that goes with effect i; without a single one the believed model stands."""
     alone = len(after.problem.effects) == 1 and at_believed_step
-    return _share(believed, believed if alone else held_out(_lean(found, after, i)), whole)
-
-
-def _share(believed: HeldOut, base: HeldOut, better: HeldOut) -> float:
-    """Share of the believed model's held-out squared excess that goes when `base` becomes `better`."""
-    excess = excess_beyond_chance(believed)
-    return float(np.clip((base.chi2.sum() - better.chi2.sum()) / excess, -1.0, 1.0)) if excess else 0.0
-
-
-def excess_beyond_chance(scores: HeldOut) -> float:
-    """Squared whitened error in excess of noise, 0 while noise alone may well have made it."""
-    values = scores.num_values.sum()
-    excess = float(scores.chi2.sum() - values)
-    return excess if excess > CHANCE * np.sqrt(2 * values) else 0.0
+    return share_explained(believed, believed if alone else held_out(_lean(found, after, i)), whole)

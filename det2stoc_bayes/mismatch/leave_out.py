@@ -2,38 +2,17 @@
 
 from dataclasses import replace
 
-import numpy as np
-from jaxtyping import Float
-
-from det2stoc_bayes.engines.base import Start
-from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.belief import Belief
+from det2stoc_bayes.mismatch.crossed import refitted_without
 from det2stoc_bayes.mismatch.heldout import HeldOut, evaluate
-from det2stoc_bayes.optimize import Fit, fit_many
+from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.psis import reliable, smooth
-from det2stoc_bayes.segments import from_pieces
-
-TOLERANCE = 0.3  # nats
 
 
 def k_hats(belief: Belief) -> dict[str, float]:
     """k-hat of weights 1 / p(recording | z) on a posterior's draws: how far its removal moves the posterior."""
     names = [r.name for r in belief.fit.problem.segments.recordings]
     return {name: smooth(-terms)[1] for name, terms in zip(names, belief.terms.T, strict=True)}
-
-
-def refitted_without(fit: Fit, name: str) -> Float[np.ndarray, " size"]:
-    """The unknowns fitted to all recordings but one, in the layout of the others."""
-    segments = fit.problem.segments
-    others = [r for r in segments.recordings if r.name != name]
-    rows = [s for s, r in enumerate(segments.recording) if segments.recordings[r].name != name]
-    begin, length = segments.first[rows], segments.lengths[rows]
-    owner = [others.index(segments.recordings[segments.recording[s]]) for s in rows]
-    pieces = [(r, int(a), int(a + n)) for r, a, n in zip(owner, begin, length, strict=True)]
-    problem = fit.problem.on(from_pieces(others, pieces, segments.columns))
-    start = Start(*(getattr(fit.point.start, a)[rows] for a in ("qpos", "qvel", "act")))
-    found = fit_many([(problem, Point(fit.problem.carry(fit.point.z, problem), start))], tolerance=TOLERANCE)[0]
-    return fit.point.z if found is None else found.problem.carry(found.point.z, fit.problem)
 
 
 def checked(fit: Fit, held: HeldOut, belief: Belief) -> tuple[HeldOut, dict[str, float], tuple[str, ...]]:
@@ -48,7 +27,7 @@ def checked(fit: Fit, held: HeldOut, belief: Belief) -> tuple[HeldOut, dict[str,
     doubtful = tuple(name for name, value in k.items() if value > reliable(len(belief.z)))
     if not doubtful:
         return held, k, ()
-    again = {name: refitted_without(fit, name) for name in doubtful}
+    again = {name: refitted_without(fit, {name}) for name in doubtful}
     return _merged(held, evaluate(fit, again, tuple(r for r in study.recordings if r.name in again))), k, doubtful
 
 

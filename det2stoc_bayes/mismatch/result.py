@@ -4,10 +4,10 @@ import numpy as np
 import xarray as xr
 from xarray import DataTree
 
-from det2stoc_bayes.mismatch.explain import Ranked, Slot
 from det2stoc_bayes.mismatch.finding import variable_name
 from det2stoc_bayes.mismatch.heldout import HeldOut
 from det2stoc_bayes.mismatch.patch_module import parameter_texts
+from det2stoc_bayes.mismatch.race import Ranked, Slot
 from det2stoc_bayes.mismatch.where import Condition
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.posterior import named_draws

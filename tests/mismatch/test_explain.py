@@ -1,12 +1,18 @@
 """Adding effects, and looking back at each."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
-from simulated import fit, place, spring_problem
+from conftest import make_study, model_xml
+from simulated import SPRING, fit, noise_table, place, pose, recordings, spring_problem
 
 from det2stoc_bayes.mismatch import explain as module
+from det2stoc_bayes.mismatch.crossed import crossed
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_evidence
-from det2stoc_bayes.mismatch.explain import Ranked, Slot, explain
+from det2stoc_bayes.mismatch.explain import explain
+from det2stoc_bayes.mismatch.race import Ranked, Slot
 
 SMALL = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
 
@@ -57,3 +63,34 @@ def test_a_later_effect_that_makes_the_first_needless_has_a_slot_of_its_own(drag
     found = explain(drag, pool_of(drag.problem))
     assert found.after.problem.effects == (truth,)
     assert [r.placed for r in found.slots[0].ranked][0] == truth
+
+
+def test_under_a_misfit_beyond_the_noise_halves_of_the_recordings_decide(drag, monkeypatch):
+    """What gains less evidence is taken where it tells the other half of the recordings better."""
+    base, noisy = drag, replace(drag.problem, noise=drag.problem.noise / 10)
+    friction, damping = (place(noisy, n, "slide", SMALL) for n in ("coulomb_friction", "viscous_damping"))
+    wrong, less_wrong = (fit(noisy.with_effects([e])) for e in (friction, damping))
+    assert min(wrong.noise_inflation, less_wrong.noise_inflation) > module.MODEL_ERROR
+    slot = Slot(base, (), (Ranked(friction, wrong, 90.0), Ranked(damping, less_wrong, 60.0)))
+    monkeypatch.setattr(module, "_together", lambda *_: [])
+    for scores, chosen in (((3, 2, 5), less_wrong), ((2, 3, 5), wrong), ((6, 7, 5), None)):
+        of = dict(zip(map(id, (wrong, less_wrong, base)), scores, strict=True))
+        monkeypatch.setattr(module, "crossed", lambda f, _, of=of: of[id(f)])
+        monkeypatch.setattr(module, "FOLDS", 1)
+        assert module._better(slot, 10.0) is chosen
+
+
+def test_recordings_that_were_left_out_are_told_by_the_right_effect(tmp_path):
+    """Halves of four recordings: chi2 within its scatter with what is there, far beyond it without."""
+
+    def push(model, data):
+        data.qfrc_applied[0] = -0.5 * abs(data.qvel[0]) * data.qvel[0]
+
+    starts = [([0.3], [0.0]), ([-0.2], [1.0]), ([0.1], [-1.5]), ([-0.4], [0.5])]
+    made = recordings(model_xml(SPRING), starts, 10 * np.arange(60), (1e-3, 1e-2), push=push)
+    toml = '[psi.stiffness]\ntarget = "joint/slide/stiffness"\nprior = { Normal = { loc = 30, scale = 4 } }\n'
+    problem = pose(make_study(tmp_path / "study", model_xml(SPRING), toml + noise_table(1e-3, 1e-2), made))
+    right = fit(problem.with_effects([place(problem, "quadratic_damping", "slide", SMALL)]))
+    values = int(problem.segments.observed.sum())
+    assert abs(crossed(right, 0.1) - values) < 3 * np.sqrt(2 * values)
+    assert crossed(fit(problem), 0.1) > 2 * values

@@ -1,0 +1,42 @@
+"""Hypotheses refitted without some recordings, and how they tell those."""
+
+from collections.abc import Collection
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.engines.base import Start
+from det2stoc_bayes.linearization import Point
+from det2stoc_bayes.mismatch.heldout import misfit
+from det2stoc_bayes.optimize import Fit, fit_many
+from det2stoc_bayes.segments import from_pieces
+
+TOLERANCE = 0.3  # nats
+FOLDS = 2
+
+
+def refitted_without(
+    fit: Fit, names: Collection[str], *, tolerance: float = TOLERANCE, max_iterations: int = 8
+) -> Float[np.ndarray, " size"]:
+    """The unknowns fitted to all recordings but these, in the layout of the fit's own."""
+    segments = fit.problem.segments
+    others = [r for r in segments.recordings if r.name not in names]
+    rows = [s for s, r in enumerate(segments.recording) if segments.recordings[r].name not in names]
+    begin, length = segments.first[rows], segments.lengths[rows]
+    owner = [others.index(segments.recordings[segments.recording[s]]) for s in rows]
+    pieces = [(r, int(a), int(a + n)) for r, a, n in zip(owner, begin, length, strict=True)]
+    problem = fit.problem.on(from_pieces(others, pieces, segments.columns))
+    start = Start(*(getattr(fit.point.start, a)[rows] for a in ("qpos", "qvel", "act")))
+    point = Point(fit.problem.carry(fit.point.z, problem), start)
+    found = fit_many([(problem, point)], tolerance=tolerance, max_iterations=max_iterations)[0]
+    return fit.point.z if found is None else found.problem.carry(found.point.z, fit.problem)
+
+
+def crossed(fit: Fit, tolerance: float) -> float:
+    """Whitened squared misfit of every recording under the unknowns fitted to other ones, in FOLDS folds."""
+    recordings, total = fit.problem.segments.recordings, 0.0
+    for k in range(FOLDS):
+        left = recordings[k::FOLDS]
+        z = refitted_without(fit, {r.name for r in left}, tolerance=tolerance, max_iterations=3)
+        total += sum(misfit(fit, z, r) for r in left)
+    return total

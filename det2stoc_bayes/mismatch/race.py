@@ -1,0 +1,149 @@
+"""From candidates beside a fit to the few that are refined: screen, sketch, and fit those that stay in the race."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.linearization import Point
+from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence
+from det2stoc_bayes.mismatch.pairs import pairs, varied
+from det2stoc_bayes.mismatch.screen import Screened, screen
+from det2stoc_bayes.optimize import Fit, fit_many, sketch
+from det2stoc_bayes.problem import Problem
+
+NUM_REFINED = 5
+NUM_OTHERS = 3
+NUM_PAIRS = 6
+PROMISING = 0.3  # of the best screened evidence: what earns less is not refined
+RACE = (10.0, 0.3, 50.0)  # how far behind the best sketch a candidate may be: nats, share of the gain, at most
+LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
+AT_WALL = 1e-6  # prior sds from where a positive parameter is absent
+SETTLED = 0.3  # nats that a further iteration may gain
+Progress = Callable[[str, int, int], None]  # stage, done, total
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A refined candidate and the evidence it gains over the fit without it."""
+
+    placed: PlacedEffect
+    fit: Fit
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Slot:
+    """One place in the list of effects: the fit without it and what could stand there, best first."""
+
+    base: Fit
+    screened: tuple[Screened, ...]
+    ranked: tuple[Ranked, ...]
+
+
+def threshold(num_candidates: int) -> float:
+    """Evidence gain that an addition must reach, nats."""
+    return LEAST_GAIN + float(np.log(max(num_candidates, 1)))
+
+
+def look(base: Fit, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
+    """Screen every candidate beside a fit and refine those that may earn their place."""
+    count = [0]
+
+    def advance(n: int) -> None:
+        count[0] += n
+        progress("screening effects", count[0], len(pool))
+
+    return _refined(base, screen(base, pool, advance), (), len(pool), progress)
+
+
+def look_again(slot: Slot, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
+    """The same look with fewer candidates."""
+    screened = [s for s in slot.screened if s.placed in pool]
+    return _refined(slot.base, screened, slot.ranked, len(pool), progress)
+
+
+def _refined(base: Fit, screened: Sequence[Screened], known: Sequence[Ranked], count: int, progress: Progress) -> Slot:
+    """Joint Gauss-Newton of psi and each candidate that may earn its place, best evidence first."""
+    best = screened[0].log_evidence if screened else 0.0
+    least = max(PROMISING * best, threshold(count) / 3)
+    worth = _shortlist([s for s in screened if s.log_evidence > least])
+    fits = {r.placed: r.fit for r in known if r.placed in {s.placed for s in worth}}
+    new = [s for s in worth if s.placed not in fits]
+    progress("refining the best", 0, len(new))
+    found = race(base, [_added(base, s.change, [(s, s.coefficients)]) for s in new])
+    progress("refining the best", len(new), len(new))
+    fits |= {f.problem.effects[-1]: f for f in found}
+    share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
+    ranked = [Ranked(placed, f, gain(base, f, share)) for placed, f in fits.items()]
+    return Slot(base, tuple(screened), tuple(sorted(ranked, key=lambda r: -r.gain)))
+
+
+def _shortlist(worth: Sequence[Screened]) -> list[Screened]:
+    """The best, and the best of effects that are not among them: the same law on other elements crowds others out."""
+    first = list(worth[:NUM_REFINED])
+    names = {s.placed.effect.name for s in first}
+    for s in worth[NUM_REFINED:]:
+        if s.placed.effect.name not in names and len(first) < NUM_REFINED + NUM_OTHERS:
+            first.append(s)
+            names.add(s.placed.effect.name)
+    return first
+
+
+def refine_pairs(base: Fit, screened: Sequence[Screened], least: float) -> list[Fit]:
+    """Fits with two additions at once whose screening promises more than `least` nats, best evidence first."""
+    worth = varied([p for p in pairs(base, screened) if p.log_evidence > least], NUM_PAIRS)
+    fits = race(base, [_added(base, p.change, list(zip(p.members, p.coefficients, strict=True))) for p in worth])
+    share = effective_share(min(fits, key=lambda f: f.chi2)) if fits else 1.0
+    return sorted(fits, key=lambda f: -gain(base, f, share))
+
+
+def _added(
+    base: Fit, change: Float[np.ndarray, " size"], added: Sequence[tuple[Screened, Float[np.ndarray, "_"]]]
+) -> tuple[Problem, Point]:
+    """The hypothesis with screened additions, where screening puts it."""
+    z = [base.problem.bent(base.point.z, change)]
+    for s, coefficients in added:
+        values = s.placed.effect.combine(s.trial, coefficients, s.placed.typical)
+        z.append(s.placed.effect.to_normal(values, s.placed.typical))
+    problem = base.problem.with_effects((*base.problem.effects, *(s.placed for s, _ in added)))
+    return problem, Point(np.concatenate(z), base.point.start)
+
+
+def race(base: Fit, points: Sequence[tuple[Problem, Point]]) -> list[Fit]:
+    """Fits of several hypotheses; after a sketch of each only those that are still in the race go on.
+
+    Positive parameters that end where the effect is absent drop their hypothesis.
+    """
+    if not points:
+        return []
+    first = len(base.problem.effects)
+    fits = [f for f in sketch(points, tolerance=tolerance(base)) if f is not None]
+    if not fits:
+        return []
+    share = effective_share(min(fits, key=lambda f: f.chi2))
+    top = max(log_evidence(f, share) for f in fits)
+    behind = np.clip(RACE[1] * (top - log_evidence(base, share)), RACE[0], RACE[2])
+    racing = [f for f in fits if log_evidence(f, share) > top - behind]
+    on = [(f.problem, f.point) for f in racing]
+    further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
+    better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None}
+    return [f for f in (better.get(id(f), f) for f in fits) if _allowed(f, first)]
+
+
+def gain(base: Fit, fit: Fit, share: float) -> float:
+    """Evidence that an addition earns, nats."""
+    return log_evidence(fit, share) - log_evidence(base, share)
+
+
+def tolerance(fit: Fit) -> float:
+    """Gain at which iterations end; under model error a nat of correlated samples is worth less."""
+    return SETTLED / effective_share(fit)
+
+
+def _allowed(fit: Fit, first: int) -> bool:
+    """Whether no parameter of the effects from `first` on ended at the wall that keeps it positive."""
+    begin = fit.problem.num_psi + sum(e.size for e in fit.problem.effects[:first])
+    return bool((fit.point.z > fit.problem.floor + AT_WALL)[begin:].all())
