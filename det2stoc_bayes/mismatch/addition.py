@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 
 from det2stoc_bayes.mismatch.evidence import profile
 from det2stoc_bayes.optimize import Fit, noise_scale
+from det2stoc_bayes.problem import FARTHEST
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,35 +29,57 @@ def add(
 ) -> Addition | None:
     """Closed-form evidence of [current unknowns, coefficients ~ N(0, sd)] against the current unknowns alone.
 
-    `gram` and `slope` are J'J and J'r of the unknowns' columns and then the added ones. A coefficient that must be
-    positive and would not be is left at 0; None where none is left.
+    `gram` and `slope` are J'J and J'r of the unknowns' columns and then the added ones. A psi stays within its prior's
+    support, and a coefficient that must be positive and would not be is left out; None where none is left.
     """
     size = fit.problem.size
-    inside = np.ones(len(sd), bool)
-    while inside.any():
-        at = np.concatenate([np.ones(size, bool), inside])
-        found = _unconstrained(fit, gram[np.ix_(at, at)], slope[at], sd[inside])
-        coefficients = np.zeros(len(sd))
-        coefficients[inside] = found.coefficients
-        worst = int(np.argmin(np.where(positive, coefficients / sd, 0.0)))
-        if not (positive[worst] and coefficients[worst] < 0):
-            return Addition(found.log_evidence, found.gain, coefficients, found.change)
-        inside[worst] = False
+    low, high = (np.concatenate([bound, end]) for bound, end in zip(_room(fit), _wall(positive), strict=True))
+    held = np.full(len(slope), np.nan)  # values of what stays at its bound
+    while np.isnan(held[size:]).any():
+        step, chi2, s2, precision = _solved(fit, gram, slope, sd, held)
+        beyond = np.maximum(low - step, step - high) / np.concatenate([np.ones(size), sd])
+        worst = int(np.argmax(np.where(np.isnan(held), beyond, -np.inf)))
+        if not beyond[worst] > 0:
+            return _weighed(fit, step, chi2, s2, precision, sd, held)
+        held[worst] = low[worst] if step[worst] < low[worst] else high[worst]
     return None
 
 
-def _unconstrained(fit: Fit, gram: np.ndarray, slope: np.ndarray, sd: np.ndarray) -> Addition:
-    size, z, s2 = fit.problem.size, fit.point.z, fit.noise_scale
+def _room(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """How far each unknown may go down and up, were psi linear in it."""
+    problem, z = fit.problem, fit.point.z
+    straight, psi = problem.straightener(z), [b.begin for b in problem.unknowns.blocks]
+    low, high = np.full(problem.size, -np.inf), np.full(problem.size, np.inf)
+    for end, sign in ((low, -1), (high, 1)):
+        far = np.array(z)
+        far[psi] = sign * np.maximum(FARTHEST, np.abs(z[psi]))
+        end[psi] = straight(far)[psi]
+    return low, high
+
+
+def _wall(positive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.where(positive, 0.0, -np.inf), np.full(len(positive), np.inf)
+
+
+def _solved(fit: Fit, gram: np.ndarray, slope: np.ndarray, sd: np.ndarray, held: np.ndarray):
+    """The step under the noise scale that it leads to, its chi2, and the precision of what is free."""
     # Residuals were taken at the fit's optimum, where the prior pulls by -z.
-    pull = np.concatenate([-z, np.zeros(len(sd))])
-    prior = np.concatenate([np.ones(size), sd**-2.0])
+    pull = np.concatenate([-fit.point.z, np.zeros(len(sd))])
+    prior = np.concatenate([np.ones(fit.problem.size), sd**-2.0])
+    free, step, s2 = np.isnan(held), np.nan_to_num(held), fit.noise_scale
     for _ in range(4):  # the noise scale and the coefficients determine each other
-        precision = gram / s2 + np.diag(prior)
-        step = np.linalg.solve(precision, slope / s2 + pull)
+        target = slope / s2 + pull - (gram / s2) @ np.where(free, 0.0, step)
+        precision = (gram / s2 + np.diag(prior))[np.ix_(free, free)]
+        step[free] = np.linalg.solve(precision, target[free])
         chi2 = fit.chi2 - 2 * float(slope @ step) + float(step @ gram @ step)
         s2 = noise_scale(fit.linear, max(chi2, 1e-9), True)
-    n = fit.linear.degrees_of_freedom
-    penalty = float((prior[size:] * step[size:] ** 2).sum()) + float(((z + step[:size]) ** 2 - z**2).sum())
-    occam = np.linalg.slogdet(precision)[1] + np.linalg.slogdet(fit.covariance)[1] - np.log(prior[size:]).sum()
+    return step, chi2, s2, precision
+
+
+def _weighed(fit: Fit, step, chi2: float, s2: float, precision: np.ndarray, sd: np.ndarray, held) -> Addition:
+    size, z, n = fit.problem.size, fit.point.z, fit.linear.degrees_of_freedom
+    free = np.isnan(held[size:])
+    penalty = float(((step[size:] / sd) ** 2).sum()) + float(((z + step[:size]) ** 2 - z**2).sum())
+    occam = np.linalg.slogdet(precision)[1] + np.linalg.slogdet(fit.covariance)[1] + 2 * np.log(sd[free]).sum()
     earned = profile(fit.chi2, fit.noise_scale, n) - profile(chi2, s2, n) - 0.5 * (penalty + float(occam))
     return Addition(float(earned), fit.chi2 - chi2, step[size:], step[:size])

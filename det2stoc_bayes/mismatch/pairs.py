@@ -13,7 +13,7 @@ from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.screen import Screened, one_sided
 from det2stoc_bayes.optimize import Fit
 
-MOST = 40  # candidates that are paired
+MOST = 50  # trials that are paired
 MOST_OFTEN = 3  # of the pairs that are refined: a candidate that goes well with everything crowds others out
 
 
@@ -30,12 +30,18 @@ class Pair:
 def pairs(fit: Fit, screened: Sequence[Screened]) -> list[Pair]:
     """Every pair of the candidates that explain most, best first; wrong-signed ones are left out.
 
-    Of the same effect on the same element only one can stand, and a candidate stands with its own best trial.
+    Of the same effect on the same element only one can stand. A pair stands with its best trials, which need not be the
+    members' own best.
     """
-    chosen = sorted((s for s in screened if s.response is not None), key=lambda s: -s.gain)[:MOST]
+    trials = [t for s in screened for t in (s, *s.others) if t.response is not None]
+    chosen = sorted(trials, key=lambda s: -s.gain)[:MOST]
     system = _System.of(fit, chosen)
-    found = [p for i, j in combinations(range(len(chosen)), 2) if (p := system.judge(i, j)) is not None]
-    return sorted(found, key=lambda p: -p.log_evidence)
+    best: dict[frozenset[PlacedEffect], Pair] = {}
+    for i, j in combinations(range(len(chosen)), 2):
+        pair, key = system.judge(i, j), frozenset((chosen[i].placed, chosen[j].placed))
+        if pair is not None and (key not in best or pair.log_evidence > best[key].log_evidence):
+            best[key] = pair
+    return sorted(best.values(), key=lambda p: -p.log_evidence)
 
 
 def varied(found: Sequence[Pair], count: int) -> list[Pair]:

@@ -14,6 +14,7 @@ from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import merge_requests
 
 WRONG_SIGN = -0.69  # nats of a candidate whose coefficient has a sign that it cannot have
+NUM_OTHERS = 3  # trials of an effect that are kept beside its best
 MAX_COLUMNS = 128  # responses held at once
 
 
@@ -28,6 +29,7 @@ class Screened:
     coefficients: Float[np.ndarray, " columns"]
     change: Float[np.ndarray, " size"]  # of the current unknowns, when the trial is added
     response: Float[np.ndarray, "segments stacked columns"] | None = None  # what no initial state explains of it
+    others: tuple["Screened", ...] = ()  # the same effect's next best trials
 
 
 def one_sided(placed: PlacedEffect, trial: Trial) -> Bool[np.ndarray, " columns"]:
@@ -43,14 +45,15 @@ def screen(
 
     With the fit's own columns beside a trial's, an effect that psi can absorb earns nothing.
     """
-    best: dict[PlacedEffect, Screened] = {}
+    trials: dict[PlacedEffect, list[Screened]] = {}
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
     for placed, trial, columns in responses(fit, new, advance):
         found = _judge(fit, placed, trial, columns)
-        if found is not None and (placed not in best or found.log_evidence > best[placed].log_evidence):
-            best[placed] = found
-    return sorted(best.values(), key=lambda s: -s.log_evidence)
+        if found is not None:
+            best = sorted([*trials.get(placed, ()), found], key=lambda s: -s.log_evidence)
+            trials[placed] = best[: 1 + NUM_OTHERS]
+    return sorted((replace(t[0], others=tuple(t[1:])) for t in trials.values()), key=lambda s: -s.log_evidence)
 
 
 def responses(fit: Fit, candidates, advance) -> Iterator[tuple[PlacedEffect, Trial, np.ndarray]]:
