@@ -32,6 +32,12 @@ def refitted_without(
     return fit.point.z if found is None else found.problem.carry(found.point.z, fit.problem)
 
 
+def unseen(fit: Fit, tolerance: float) -> float:
+    """Whitened squared misfit of recordings that were not fitted: the held-out ones, or halves left out in turn."""
+    holdout = fit.problem.simulator.study.holdout
+    return sum(misfit(fit, fit.point.z, r) for r in holdout) if holdout else crossed(fit, tolerance)
+
+
 def crossed(fit: Fit, tolerance: float) -> float:
     """Whitened squared misfit of every recording under the unknowns fitted to other ones, in FOLDS folds."""
     recordings, total = fit.problem.segments.recordings, 0.0

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from det2stoc_bayes.mismatch.crossed import FOLDS, crossed
+from det2stoc_bayes.mismatch.crossed import FOLDS, unseen
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_told
 from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE, held_out, share_explained
@@ -23,7 +23,7 @@ from det2stoc_bayes.mismatch.refit import refit, reordered, without
 from det2stoc_bayes.optimize import Fit
 
 MAX_EFFECTS = 3
-NUM_CROSSED = 3  # pairs, and single additions, that halves of the recordings decide between
+NUM_CROSSED = 3  # pairs, and single additions, that other recordings decide between
 MAX_ROUNDS = 3  # explanations, each without what the last had in vain
 
 
@@ -81,8 +81,8 @@ def _grow(
 def _better(slot: Slot, needed: float) -> Fit | None:
     """The next step: the addition, or the two, with most evidence; None where nothing earns its place.
 
-    While all contenders leave a misfit beyond the noise, evidence favours what bends to these recordings, and half of
-    them fitted must tell the other half.
+    While all contenders leave a misfit beyond the noise, evidence favours what bends to the fitted recordings, and what
+    tells others best is taken.
     """
     base = slot.base
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
@@ -90,12 +90,12 @@ def _better(slot: Slot, needed: float) -> Fit | None:
     contenders = [*both[:NUM_CROSSED], *alone[:NUM_CROSSED]]
     if not contenders:
         return None
-    many = len(base.problem.segments.recordings) >= FOLDS
-    if not many or min(f.noise_inflation for f in contenders) < MODEL_ERROR:
+    others = base.problem.simulator.study.holdout or len(base.problem.segments.recordings) >= FOLDS
+    if not others or min(f.noise_inflation for f in contenders) < MODEL_ERROR:
         return both[0] if both and _earns(both[0], alone[:1], base, needed) else next(iter(alone), None)
-    scores = {id(f): crossed(f, tolerance(f)) for f in contenders}
+    scores = {id(f): unseen(f, tolerance(f)) for f in contenders}
     best = min(contenders, key=lambda f: scores[id(f)])
-    return best if scores[id(best)] < crossed(base, tolerance(base)) else None
+    return best if scores[id(best)] < unseen(base, tolerance(base)) else None
 
 
 def _useless(before: Fit, grown: Fit, lean: Mapping[PlacedEffect, Fit]) -> set[PlacedEffect]:

@@ -65,8 +65,8 @@ def test_a_later_effect_that_makes_the_first_needless_has_a_slot_of_its_own(drag
     assert [r.placed for r in found.slots[0].ranked][0] == truth
 
 
-def test_under_a_misfit_beyond_the_noise_halves_of_the_recordings_decide(drag, monkeypatch):
-    """What gains less evidence is taken where it tells the other half of the recordings better."""
+def test_under_a_misfit_beyond_the_noise_other_recordings_decide(drag, monkeypatch):
+    """What gains less evidence is taken where it tells recordings better that were not fitted."""
     base, noisy = drag, replace(drag.problem, noise=drag.problem.noise / 10)
     friction, damping = (place(noisy, n, "slide", SMALL) for n in ("coulomb_friction", "viscous_damping"))
     wrong, less_wrong = (fit(noisy.with_effects([e])) for e in (friction, damping))
@@ -75,7 +75,7 @@ def test_under_a_misfit_beyond_the_noise_halves_of_the_recordings_decide(drag, m
     monkeypatch.setattr(module, "_together", lambda *_: [])
     for scores, chosen in (((3, 2, 5), less_wrong), ((2, 3, 5), wrong), ((6, 7, 5), None)):
         of = dict(zip(map(id, (wrong, less_wrong, base)), scores, strict=True))
-        monkeypatch.setattr(module, "crossed", lambda f, _, of=of: of[id(f)])
+        monkeypatch.setattr(module, "unseen", lambda f, _, of=of: of[id(f)])
         monkeypatch.setattr(module, "FOLDS", 1)
         assert module._better(slot, 10.0) is chosen
 
