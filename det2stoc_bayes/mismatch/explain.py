@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from det2stoc_bayes.mismatch.crossed import FOLDS, unseen
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_told
@@ -23,7 +25,7 @@ from det2stoc_bayes.mismatch.refit import refit, reordered, without
 from det2stoc_bayes.optimize import Fit
 
 MAX_EFFECTS = 3
-NUM_CROSSED = 3  # pairs, and single additions, that other recordings decide between
+NUM_CROSSED = 3  # single additions, beside pairs, that other recordings decide between
 MAX_ROUNDS = 3  # explanations, each without what the last had in vain
 
 
@@ -84,18 +86,22 @@ def _better(slot: Slot, needed: float) -> Fit | None:
     While all contenders leave a misfit beyond the noise, evidence favours what bends to the fitted recordings, and what
     tells others best is taken.
     """
-    base = slot.base
+    base, single = slot.base, {r.placed: r.fit for r in slot.ranked}
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
-    both = _together(slot, needed) if len(base.problem.effects) + 2 <= MAX_EFFECTS else []
-    contenders = [*both[:NUM_CROSSED], *alone[:NUM_CROSSED]]
+    least = needed + max([0.0, *(s.log_evidence for s in slot.screened[:1])])
+    both = refine_pairs(base, slot.screened, least) if len(base.problem.effects) + 2 <= MAX_EFFECTS else []
+    contenders = [*both, *alone[:NUM_CROSSED]]
     if not contenders:
         return None
     others = base.problem.simulator.study.holdout or len(base.problem.segments.recordings) >= FOLDS
     if not others or min(f.noise_inflation for f in contenders) < MODEL_ERROR:
-        return both[0] if both and _earns(both[0], alone[:1], base, needed) else next(iter(alone), None)
-    scores = {id(f): unseen(f, tolerance(f)) for f in contenders}
-    best = min(contenders, key=lambda f: scores[id(f)])
-    return best if scores[id(best)] < unseen(base, tolerance(base)) else None
+        for f in both:
+            if _earns(f, [single[e] for e in f.problem.effects[-2:] if e in single] + alone[:1], base, needed):
+                return f
+        return next(iter(alone), None)
+    scores = [unseen(f, tolerance(f)) for f in (base, *contenders)]
+    best = int(np.argmin(scores))
+    return contenders[best - 1] if best else None
 
 
 def _useless(before: Fit, grown: Fit, lean: Mapping[PlacedEffect, Fit]) -> set[PlacedEffect]:
@@ -108,13 +114,6 @@ def _useless(before: Fit, grown: Fit, lean: Mapping[PlacedEffect, Fit]) -> set[P
     rest = {e: lean.get(e) or without(grown, i) for i, e in enumerate(effects)} if len(effects) > 1 else {}
     told = {e: share_explained(believed, held_out(rest[e]) if rest else believed, whole) for e in effects}
     return {e for e, share in told.items() if share < NEGLIGIBLE}
-
-
-def _together(slot: Slot, needed: float) -> list[Fit]:
-    """Fits with two additions that each earn more than their members alone, and a second place of their own."""
-    base, single = slot.base, {r.placed: r.fit for r in slot.ranked}
-    found = refine_pairs(base, slot.screened, needed + max((s.log_evidence for s in slot.screened[:1]), default=0.0))
-    return [f for f in found if _earns(f, [single[e] for e in f.problem.effects[-2:] if e in single], base, needed)]
 
 
 def _earns(both: Fit, alone: Sequence[Fit], base: Fit, needed: float) -> bool:
@@ -138,8 +137,12 @@ def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], p
 
 
 def _prune(fit: Fit, needed: float) -> tuple[Fit, dict[PlacedEffect, Fit]]:
-    """Drops effects that no longer earn their place beside the later ones; fits without each of those that stay."""
+    """Drops effects that no longer earn their place beside the later ones; fits without each of those that stay.
+
+    Where other recordings chose them, any evidence will do.
+    """
     lean: dict[PlacedEffect, Fit] = {}
+    needed = needed if fit.noise_inflation < MODEL_ERROR else 0.0
     for placed in fit.problem.effects[:-1]:
         rest = without(fit, fit.problem.effects.index(placed))
         if gain(rest, fit, effective_share(fit)) < needed:

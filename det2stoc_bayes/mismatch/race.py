@@ -95,7 +95,8 @@ def _shortlist(worth: Sequence[Screened]) -> list[Screened]:
 def refine_pairs(base: Fit, screened: Sequence[Screened], least: float) -> list[Fit]:
     """Fits with two additions at once whose screening promises more than `least` nats, best evidence first."""
     worth = varied([p for p in pairs(base, screened) if p.log_evidence > least], NUM_PAIRS)
-    fits = race(base, [_added(base, p.change, list(zip(p.members, p.coefficients, strict=True))) for p in worth])
+    points = [_added(base, p.change, list(zip(p.members, p.coefficients, strict=True))) for p in worth]
+    fits = race(base, points, most=NUM_PAIRS // 2)
     share = effective_share(min(fits, key=lambda f: f.chi2)) if fits else 1.0
     return sorted(fits, key=lambda f: -gain(base, f, share))
 
@@ -112,8 +113,8 @@ def _added(
     return problem, Point(np.concatenate(z), base.point.start)
 
 
-def race(base: Fit, points: Sequence[tuple[Problem, Point]]) -> list[Fit]:
-    """Fits of several hypotheses; after a sketch of each only those that are still in the race go on.
+def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = None) -> list[Fit]:
+    """Fits of several hypotheses; after a sketch of each only those (at most `most`) still in the race go on.
 
     Positive parameters that end where the effect is absent drop their hypothesis.
     """
@@ -126,6 +127,7 @@ def race(base: Fit, points: Sequence[tuple[Problem, Point]]) -> list[Fit]:
     share = effective_share(min(fits, key=lambda f: f.chi2))
     top = max(log_evidence(f, share) for f in fits)
     behind = np.clip(RACE[1] * (top - log_evidence(base, share)), RACE[0], RACE[2])
+    fits = sorted(fits, key=lambda f: -log_evidence(f, share))[:most]
     racing = [f for f in fits if log_evidence(f, share) > top - behind]
     on = [(f.problem, f.point) for f in racing]
     further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
