@@ -50,8 +50,9 @@ class Linearization:
         stacked = self.latent.stack_whitened(
             problem.measurement.bend(error)[..., None], tangent(problem, point.start)[..., None]
         )
-        slopes = problem.slopes(point.z) / problem.slopes(self.point.z)
-        return replace(self, point=point, stacked=stacked, columns=self.columns * slopes, exact=False)
+        then, now = problem.slopes(self.point.z), problem.slopes(point.z)
+        ratio = np.divide(now, then, out=np.ones(problem.size), where=then > 0)
+        return replace(self, point=point, stacked=stacked, columns=self.columns * ratio, exact=False)
 
     def gram(
         self,

@@ -76,7 +76,7 @@ def fit_many(
 
 
 def sketch(points: Sequence[tuple[Problem, Point]], *, tolerance: float) -> list[Fit | None]:
-    """Roughly `fit_many`, with sensitivities taken but twice: what a hypothesis is worth at the least."""
+    """Roughly `fit_many`, with sensitivities taken but twice."""
     linear = {i: lin for i, lin in enumerate(linearize(points)) if lin is not None}
     first, over = _descended(linear, tolerance, True)
     on = _again({i: lin for i, lin in first.items() if not over[i]})
@@ -240,9 +240,9 @@ def most_probable(
 
     # A psi may go anywhere in its prior, whose bend is exact, short of where quantiles lose their digits.
     psi = np.arange(problem.size) < problem.num_psi
-    low = np.where(psi, np.minimum(-FARTHEST, z), np.minimum(np.maximum(z - LARGEST_STEP, problem.floor), z))
-    high = np.where(psi, np.maximum(FARTHEST, z), z + LARGEST_STEP)
-    return least_squares(misfit, z, bounds=(low - 1e-9, high + 1e-9), xtol=1e-10, ftol=1e-12).x
+    low = np.where(psi, np.minimum(-FARTHEST, z), np.maximum(z - LARGEST_STEP, problem.floor))
+    high = np.where(psi, np.maximum(FARTHEST, z), np.maximum(z, low) + LARGEST_STEP)
+    return least_squares(misfit, np.maximum(z, low), bounds=(low - 1e-9, high + 1e-9), xtol=1e-10, ftol=1e-12).x
 
 
 def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> list[Linearization | None]:

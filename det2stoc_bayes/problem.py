@@ -102,10 +102,10 @@ class Problem:
         return self.straightener(at)(z)
 
     def slopes(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
-        """d psi / dz at z, 1 for the other unknowns and where psi stands still in double precision."""
+        """d psi / dz at z, 0 where psi stands still in double precision; 1 for the other unknowns."""
         out = np.ones(self.size)
         for b in self.unknowns.blocks:
-            out[b.begin] = b.tangent(float(z[b.begin]))[1] or 1.0
+            out[b.begin] = b.tangent(float(z[b.begin]))[1]
         return out
 
     def straightener(

@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import make_study, model_xml
-from simulated import PENDULUM, SPRING, dense_evidence, fit, noise_table, pose, recordings, spring_problem
+from simulated import PENDULUM, SPRING, dense_evidence, fit, noise_table, place, pose, recordings, spring_problem
 
 from det2stoc_bayes import optimize
 from det2stoc_bayes.linearization import linearize, start_point
+from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.optimize import fit_many, fit_starts
 from det2stoc_bayes.segments import cut
 
 NUM_REPLICATIONS = 60
+SMALL = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
 TRUTH = {"mass": 0.9, "damping": 0.07}
 PENDULUM_PSI = """
 [psi.mass]
@@ -156,3 +158,32 @@ def test_no_unknowns_and_no_effects(tmp_path):
     found = fit(spring_problem(tmp_path, toml=""))
     assert found.point.z.shape == (0,) and found.covariance.shape == (0, 0)
     assert found.noise_inflation == pytest.approx(1.0, abs=0.3)
+
+
+def test_sensitivities_carried_to_another_point_are_those_of_its_psi(pendulum):
+    """About the same point nothing changes; elsewhere the residual is exact and columns follow psi's slope."""
+    point = start_point(pendulum, np.array([0.3, -0.2]))
+    lin = linearize([(pendulum, point)])[0]
+    same = lin.about(point, pendulum.simulator.rollout(pendulum.request(point.z[None], point.start)))
+    np.testing.assert_allclose(same.stacked, lin.stacked, atol=1e-9)
+    np.testing.assert_allclose(same.columns, lin.columns)
+    there = replace(point, z=np.array([0.31, -0.21]))
+    carried = lin.about(there, pendulum.simulator.rollout(pendulum.request(there.z[None], there.start)))
+    anew = linearize([(pendulum, there)])[0]
+    np.testing.assert_allclose(carried.stacked, anew.stacked, atol=1e-9)
+    assert not carried.exact and anew.exact
+    size = np.abs(anew.columns).max()
+    assert np.abs(carried.columns - anew.columns).max() < 0.05 * size  # measured: 2 %
+
+
+def test_a_parameter_that_must_be_positive_stays_so(tmp_path):
+    """Recordings that ask for negative friction leave it at its wall, from wherever the fit begins."""
+
+    def push(model, data):
+        data.qfrc_applied[0] = 0.2 * np.sign(data.qvel[0])
+
+    problem = spring_problem(tmp_path, push=push)
+    problem = problem.with_effects([place(problem, "coulomb_friction", "slide", SMALL)])
+    for z in (0.2, -0.3):
+        found = fit(problem, np.append(np.zeros(problem.num_psi), z), tolerance=1e-3)
+        assert 0 <= found.point.z[-1] + 1e-6 < 1e-4

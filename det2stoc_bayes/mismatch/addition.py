@@ -36,11 +36,11 @@ def add(
     low, high = (np.concatenate([bound, end]) for bound, end in zip(_room(fit), _wall(positive), strict=True))
     held = np.full(len(slope), np.nan)  # values of what stays at its bound
     while np.isnan(held[size:]).any():
-        step, chi2, s2, precision = _solved(fit, gram, slope, sd, held)
+        step, chi2, s2 = _solved(fit, gram, slope, sd, held)
         beyond = np.maximum(low - step, step - high) / np.concatenate([np.ones(size), sd])
         worst = int(np.argmax(np.where(np.isnan(held), beyond, -np.inf)))
         if not beyond[worst] > 0:
-            return _weighed(fit, step, chi2, s2, precision, sd, held)
+            return _weighed(fit, gram, step, chi2, s2, sd, held)
         held[worst] = low[worst] if step[worst] < low[worst] else high[worst]
     return None
 
@@ -54,7 +54,7 @@ def _room(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         far = np.array(z)
         far[psi] = sign * np.maximum(FARTHEST, np.abs(z[psi]))
         end[psi] = straight(far)[psi]
-    return low, high
+    return np.maximum(low, np.minimum(problem.floor - z, 0.0)), high
 
 
 def _wall(positive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -62,7 +62,7 @@ def _wall(positive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _solved(fit: Fit, gram: np.ndarray, slope: np.ndarray, sd: np.ndarray, held: np.ndarray):
-    """The step under the noise scale that it leads to, its chi2, and the precision of what is free."""
+    """The step under the noise scale that it leads to, its chi2, and that scale."""
     # Residuals were taken at the fit's optimum, where the prior pulls by -z.
     pull = np.concatenate([-fit.point.z, np.zeros(len(sd))])
     prior = np.concatenate([np.ones(fit.problem.size), sd**-2.0])
@@ -73,12 +73,14 @@ def _solved(fit: Fit, gram: np.ndarray, slope: np.ndarray, sd: np.ndarray, held:
         step[free] = np.linalg.solve(precision, target[free])
         chi2 = fit.chi2 - 2 * float(slope @ step) + float(step @ gram @ step)
         s2 = noise_scale(fit.linear, max(chi2, 1e-9), True)
-    return step, chi2, s2, precision
+    return step, chi2, s2
 
 
-def _weighed(fit: Fit, step, chi2: float, s2: float, precision: np.ndarray, sd: np.ndarray, held) -> Addition:
+def _weighed(fit: Fit, gram: np.ndarray, step, chi2: float, s2: float, sd: np.ndarray, held) -> Addition:
     size, z, n = fit.problem.size, fit.point.z, fit.linear.degrees_of_freedom
     free = np.isnan(held[size:])
+    at = np.concatenate([np.ones(size, bool), free])  # an unknown at its bound is no better known for that
+    precision = (gram / s2 + np.diag(np.concatenate([np.ones(size), sd**-2.0])))[np.ix_(at, at)]
     penalty = float(((step[size:] / sd) ** 2).sum()) + float(((z + step[:size]) ** 2 - z**2).sum())
     occam = np.linalg.slogdet(precision)[1] + np.linalg.slogdet(fit.covariance)[1] + 2 * np.log(sd[free]).sum()
     earned = profile(fit.chi2, fit.noise_scale, n) - profile(chi2, s2, n) - 0.5 * (penalty + float(occam))

@@ -1,6 +1,6 @@
 """From a misfit to the effects that remove it: screen, refine, add the best, again, then look back at each."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,7 @@ from det2stoc_bayes.optimize import Fit
 
 MAX_EFFECTS = 3
 NUM_CROSSED = 3  # single additions, beside pairs, that other recordings decide between
+AHEAD = 5.0  # nats by which an effect may be ahead of a rival without further question
 MAX_ROUNDS = 3  # explanations, each without what the last had in vain
 
 
@@ -48,21 +49,33 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
     first, count = look(before, pool, progress), len(pool)
     grown, lean = _grow(first, pool, threshold(count), progress)
     for _ in range(MAX_ROUNDS - 1):
-        useless = _useless(before, grown, lean)
+        kept, lean, useless = _without_useless(before, grown, lean)
         if not useless:
             break
         pool = [c for c in pool if c not in useless]
         first = look_again(first, pool, progress)
-        grown, lean = _grow(first, pool, threshold(count), progress)
+        grown, again = _grow(first, pool, threshold(count), progress)
+        if unseen(kept, tolerance(kept)) <= unseen(grown, tolerance(grown)):
+            grown = kept
+            break
+        lean = again
     if len(grown.problem.effects) == 0:
         return Explanation(before, before, (first,), count, 1.0)
     same = grown.problem.segments.count == before.problem.segments.count
-    ranked = {r.placed for r in first.ranked}  # a later effect, left alone once the first was dropped, may not be there
-    if len(grown.problem.effects) == 1 and same and grown.problem.effects[0] in ranked:
-        return Explanation(before, grown, (first,), count, effective_share(grown))
-    before = before if same else refit(grown, ())
+    if len(grown.problem.effects) == 1 and same:
+        own = next((r for r in first.ranked if r.placed == grown.problem.effects[0]), None)
+        if own is not None:  # a later effect, left alone once the first was dropped, may not be there
+            slot = replace(first, ranked=_rivals(own, first.ranked))
+            return Explanation(before, grown, (slot,), count, effective_share(grown))
+    before = before if same else _bare(before, grown)
     slots = tuple(_judge(grown, i, lean.get(e), pool, progress) for i, e in enumerate(grown.problem.effects))
     return Explanation(before, grown, slots, count, effective_share(grown))
+
+
+def _bare(before: Fit, grown: Fit) -> Fit:
+    """The believed model on the segments of the explanation; as it was where it cannot follow them."""
+    found = refit(grown, ())
+    return before if found is grown else found
 
 
 def _grow(
@@ -100,20 +113,39 @@ def _better(slot: Slot, needed: float) -> Fit | None:
                 return f
         return next(iter(alone), None)
     scores = [unseen(f, tolerance(f)) for f in (base, *contenders)]
-    best = int(np.argmin(scores))
+    # What is added must pay for itself: by chance alone something is always a little better.
+    price = [NEGLIGIBLE * scores[0] * (len(f.problem.effects) - len(base.problem.effects)) for f in (base, *contenders)]
+    best = int(np.argmin(np.add(scores, price)))
     return contenders[best - 1] if best else None
 
 
-def _useless(before: Fit, grown: Fit, lean: Mapping[PlacedEffect, Fit]) -> set[PlacedEffect]:
-    """Effects without which held-out recordings are told as well; none where the misfit is within the noise."""
-    effects = grown.problem.effects
-    if not effects or grown.noise_inflation < MODEL_ERROR:
-        return set()
+def _without_useless(
+    before: Fit, grown: Fit, lean: dict[PlacedEffect, Fit]
+) -> tuple[Fit, dict[PlacedEffect, Fit], set[PlacedEffect]]:
+    """Drops, one after the other, effects without which held-out recordings are told as well; and says which.
+
+    None where the misfit is within the noise.
+    """
+    useless: set[PlacedEffect] = set()
+    if not grown.problem.effects or grown.noise_inflation < MODEL_ERROR:
+        return grown, lean, useless
     same = grown.problem.segments.count == before.problem.segments.count
-    believed, whole = held_out(before if same else refit(grown, ())), held_out(grown)
-    rest = {e: lean.get(e) or without(grown, i) for i, e in enumerate(effects)} if len(effects) > 1 else {}
-    told = {e: share_explained(believed, held_out(rest[e]) if rest else believed, whole) for e in effects}
-    return {e for e, share in told.items() if share < NEGLIGIBLE}
+    bare = before if same else _bare(before, grown)
+    believed = held_out(bare)
+    while effects := grown.problem.effects:
+        one = len(effects) == 1
+        rest = {e: bare if one else lean.get(e) or without(grown, i) for i, e in enumerate(effects)}
+        whole = held_out(grown)
+        told = {
+            e: 1.0 if f is grown else share_explained(believed, believed if f is bare else held_out(f), whole)
+            for e, f in rest.items()  # a fit that cannot do without the effect is the same fit
+        }
+        worst = min(effects, key=lambda e: told[e])
+        if told[worst] >= NEGLIGIBLE:
+            return grown, rest, useless
+        grown, lean = rest[worst], {}
+        useless.add(worst)
+    return grown, lean, useless
 
 
 def _earns(both: Fit, alone: Sequence[Fit], base: Fit, needed: float) -> bool:
@@ -123,7 +155,8 @@ def _earns(both: Fit, alone: Sequence[Fit], base: Fit, needed: float) -> bool:
     """
     share = effective_share(both)
     told = [share * (log_told(both) - log_told(f)) for f in alone]
-    return min([gain(f, both, share) for f in alone or [base]] + told) > needed
+    gains = [gain(f, both, share) for f in alone or [base]]
+    return bool(min(gains + told) > (needed if alone else 2 * needed))
 
 
 def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
@@ -132,8 +165,19 @@ def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], p
     base = slot.base
     own = Ranked(final.problem.effects[i], reordered(final, i), 0.0)
     own = replace(own, gain=gain(base, own.fit, effective_share(final)))
-    rest = [r for r in slot.ranked if r.placed != own.placed]
-    return replace(slot, ranked=tuple(sorted([own, *rest], key=lambda r: -r.gain)))
+    return replace(slot, ranked=_rivals(own, slot.ranked))
+
+
+def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
+    """An effect and what could stand in its place, most evidence first.
+
+    While a misfit remains, what has more evidence must also tell other recordings better.
+    """
+    rest = [r for r in ranked if r.placed != own.placed]
+    if own.fit.noise_inflation >= MODEL_ERROR:
+        score = unseen(own.fit, tolerance(own.fit))
+        rest = [r for r in rest if r.gain < own.gain - AHEAD or unseen(r.fit, tolerance(r.fit)) < score]
+    return tuple(sorted([own, *rest], key=lambda r: -r.gain))
 
 
 def _prune(fit: Fit, needed: float) -> tuple[Fit, dict[PlacedEffect, Fit]]:
@@ -143,7 +187,8 @@ def _prune(fit: Fit, needed: float) -> tuple[Fit, dict[PlacedEffect, Fit]]:
     """
     lean: dict[PlacedEffect, Fit] = {}
     needed = needed if fit.noise_inflation < MODEL_ERROR else 0.0
-    for placed in fit.problem.effects[:-1]:
+    effects = fit.problem.effects
+    for placed in effects if len(effects) > 1 else ():
         rest = without(fit, fit.problem.effects.index(placed))
         if gain(rest, fit, effective_share(fit)) < needed:
             fit, lean = rest, {}

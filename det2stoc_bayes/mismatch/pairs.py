@@ -13,7 +13,6 @@ from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.screen import Screened, one_sided
 from det2stoc_bayes.optimize import Fit
 
-MOST = 50  # trials that are paired
 MOST_OFTEN = 3  # of the pairs that are refined: a candidate that goes well with everything crowds others out
 
 
@@ -33,8 +32,9 @@ def pairs(fit: Fit, screened: Sequence[Screened]) -> list[Pair]:
     Of the same effect on the same element only one can stand. A pair stands with its best trials, which need not be the
     members' own best.
     """
-    trials = [t for s in screened for t in (s, *s.others) if t.response is not None]
-    chosen = sorted(trials, key=lambda s: -s.gain)[:MOST]
+    chosen = [t for s in screened for t in (s, *s.others) if t.response is not None]
+    if len(chosen) < 2:
+        return []
     system = _System.of(fit, chosen)
     best: dict[frozenset[PlacedEffect], Pair] = {}
     for i, j in combinations(range(len(chosen)), 2):

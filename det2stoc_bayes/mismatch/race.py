@@ -105,7 +105,7 @@ def _added(
     base: Fit, change: Float[np.ndarray, " size"], added: Sequence[tuple[Screened, Float[np.ndarray, "_"]]]
 ) -> tuple[Problem, Point]:
     """The hypothesis with screened additions, where screening puts it."""
-    z = [base.problem.bent(base.point.z, change)]
+    z = [np.maximum(base.problem.bent(base.point.z, change), base.problem.floor)]
     for s, coefficients in added:
         values = s.placed.effect.combine(s.trial, coefficients, s.placed.typical)
         z.append(s.placed.effect.to_normal(values, s.placed.typical))

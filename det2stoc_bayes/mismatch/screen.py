@@ -14,6 +14,7 @@ from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import merge_requests
 
 WRONG_SIGN = -0.69  # nats of a candidate whose coefficient has a sign that it cannot have
+MOST_PAIRED, MOST_TRIED = 40, 12  # candidates that are paired, and those of which all trials are
 NUM_OTHERS = 3  # trials of an effect that are kept beside its best
 MAX_COLUMNS = 128  # responses held at once
 
@@ -53,7 +54,17 @@ def screen(
         if found is not None:
             best = sorted([*trials.get(placed, ()), found], key=lambda s: -s.log_evidence)
             trials[placed] = best[: 1 + NUM_OTHERS]
+            _forget(trials)
     return sorted((replace(t[0], others=tuple(t[1:])) for t in trials.values()), key=lambda s: -s.log_evidence)
+
+
+def _forget(trials: dict[PlacedEffect, list[Screened]]) -> None:
+    """Drops responses, and further trials, of candidates that explain least: pairs are not made of them."""
+    order = sorted(trials, key=lambda placed: -trials[placed][0].gain)
+    for placed in order[MOST_TRIED:]:
+        trials[placed] = trials[placed][:1]
+    for placed in order[MOST_PAIRED:]:
+        trials[placed] = [replace(trials[placed][0], response=None)]
 
 
 def responses(fit: Fit, candidates, advance) -> Iterator[tuple[PlacedEffect, Trial, np.ndarray]]:
@@ -114,6 +125,8 @@ def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray) ->
     slope = np.einsum("snk,sn->k", both, r)
     positive = one_sided(placed, trial)
     found = add(fit, gram, slope, np.full(len(positive), trial.sd), positive)
-    if found is None:
-        return Screened(placed, trial, WRONG_SIGN, 0.0, np.zeros(len(positive)), np.zeros(lin.problem.size), x)
+    if found is None:  # its sign may be right beside another effect
+        free = add(fit, gram, slope, np.full(len(positive), trial.sd), ~positive & positive)
+        gain = 0.0 if free is None else free.gain
+        return Screened(placed, trial, WRONG_SIGN, gain, np.zeros(len(positive)), np.zeros(lin.problem.size), x)
     return Screened(placed, trial, found.log_evidence, found.gain, found.coefficients, found.change, x)

@@ -12,6 +12,7 @@ from det2stoc_bayes.mismatch.crossed import crossed
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_evidence
 from det2stoc_bayes.mismatch.explain import explain
+from det2stoc_bayes.mismatch.heldout import HeldOut
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 
 SMALL = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
@@ -76,7 +77,6 @@ def test_under_a_misfit_beyond_the_noise_other_recordings_decide(drag, monkeypat
     for scores, chosen in (((3, 2, 5), less_wrong), ((2, 3, 5), wrong), ((6, 7, 5), None)):
         of = dict(zip(map(id, (wrong, less_wrong, base)), scores, strict=True))
         monkeypatch.setattr(module, "unseen", lambda f, _, of=of: of[id(f)])
-        monkeypatch.setattr(module, "FOLDS", 1)
         assert module._better(slot, 10.0) is chosen
 
 
@@ -94,3 +94,37 @@ def test_recordings_that_were_left_out_are_told_by_the_right_effect(tmp_path):
     values = int(problem.segments.observed.sum())
     assert abs(crossed(right, 0.1) - values) < 3 * np.sqrt(2 * values)
     assert crossed(fit(problem), 0.1) > 2 * values
+
+
+def test_of_two_that_tell_the_same_only_one_is_dropped(drag, monkeypatch):
+    """Each is needless beside the other, but not both."""
+    problem = replace(drag.problem, noise=drag.problem.noise / 10)
+    bare = fit(problem)
+    placed = [place(problem, n, "slide", SMALL) for n in ("coulomb_friction", "viscous_damping")]
+    both, one, other = (fit(problem.with_effects(e)) for e in (placed, placed[1:], placed[:1]))
+    chi2 = {id(bare): 1000.0, id(both): 400.0, id(one): 410.0, id(other): 412.0}
+
+    def scored(f):
+        return HeldOut(
+            ("r",), *(np.array([x]) for x in (0.0, chi2[id(f)], 100.0)), np.ones((1, 1)), np.ones((1, 1)), {}
+        )
+
+    monkeypatch.setattr(module, "held_out", scored)
+    kept, _, useless = module._without_useless(bare, both, dict(zip(placed, (one, other), strict=True)))
+    assert kept is one and useless == {placed[0]}
+
+
+def test_what_tells_other_recordings_worse_is_no_rival_under_a_misfit(drag, monkeypatch):
+    problem = replace(drag.problem, noise=drag.problem.noise / 10)
+    own, rival = (
+        Ranked(e, fit(problem.with_effects([e])), gain)
+        for e, gain in zip(
+            (place(problem, n, "slide", SMALL) for n in ("coulomb_friction", "viscous_damping")),
+            (60.0, 90.0),
+            strict=True,
+        )
+    )
+    for scores, expected in (((2, 3), (own,)), ((3, 2), (rival, own))):
+        of = {id(own.fit): scores[0], id(rival.fit): scores[1]}
+        monkeypatch.setattr(module, "unseen", lambda f, _, of=of: of[id(f)])
+        assert module._rivals(own, (rival, own)) == expected
