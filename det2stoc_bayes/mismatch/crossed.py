@@ -1,6 +1,7 @@
 """Hypotheses refitted without some recordings, and how they tell those."""
 
 from collections.abc import Collection
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -32,6 +33,7 @@ def refitted_without(
     return fit.point.z if found is None else found.problem.carry(found.point.z, fit.problem)
 
 
+@lru_cache(maxsize=16)
 def unseen(fit: Fit, tolerance: float) -> float:
     """Whitened squared misfit of recordings that were not fitted: the held-out ones, or halves left out in turn."""
     holdout = fit.problem.simulator.study.holdout

@@ -84,7 +84,7 @@ def _grow(
     """The best effects one after the other, or two at once; and fits without each of those that stay."""
     slot = first
     while True:
-        better = _better(slot, needed)
+        better = _better(slot, needed, first.base)
         if better is None:
             return _prune(slot.base, needed)
         better = extend(better)
@@ -93,11 +93,11 @@ def _grow(
         slot = look(better, pool, progress)
 
 
-def _better(slot: Slot, needed: float) -> Fit | None:
+def _better(slot: Slot, needed: float, believed: Fit) -> Fit | None:
     """The next step: the addition, or the two, with most evidence; None where nothing earns its place.
 
     While all contenders leave a misfit beyond the noise, evidence favours what bends to the fitted recordings, and what
-    tells others best is taken.
+    tells others best is taken, if each addition explains more than next to nothing of the believed model's misfit there.
     """
     base, single = slot.base, {r.placed: r.fit for r in slot.ranked}
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
@@ -112,10 +112,10 @@ def _better(slot: Slot, needed: float) -> Fit | None:
             if _earns(f, [single[e] for e in f.problem.effects[-2:] if e in single] + alone[:1], base, needed):
                 return f
         return next(iter(alone), None)
-    scores = [unseen(f, tolerance(f)) for f in (base, *contenders)]
-    # What is added must pay for itself: by chance alone something is always a little better.
-    price = [NEGLIGIBLE * scores[0] * (len(f.problem.effects) - len(base.problem.effects)) for f in (base, *contenders)]
-    best = int(np.argmin(np.add(scores, price)))
+    price = NEGLIGIBLE * unseen(believed, tolerance(believed))
+    first = len(base.problem.effects)
+    scores = [unseen(f, tolerance(f)) + price * (len(f.problem.effects) - first) for f in (base, *contenders)]
+    best = int(np.argmin(scores))
     return contenders[best - 1] if best else None
 
 

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from det2stoc_bayes.blind.conceal import main, make_case
-from det2stoc_bayes.blind.equivalents import accepted
-from det2stoc_bayes.blind.laws import LAWS, Effect
+from det2stoc_bayes.blind.laws import LAWS
 from det2stoc_bayes.blind.probe import draw_probe
-from det2stoc_bayes.blind.reality import PREROLL, shifted, simulate_reality
+from det2stoc_bayes.blind.reality import PREROLL, shifted
 from det2stoc_bayes.blind.refit import refit
-from det2stoc_bayes.blind.sizing import KEPT, both_kept, clash, find
 from det2stoc_bayes.blind.systems import SYSTEMS
 from det2stoc_bayes.blind.variants import VARIANTS, choose, possible
 from det2stoc_bayes.study import load_study
@@ -31,11 +29,6 @@ def case():
 @pytest.fixture(scope="module")
 def pair():
     return make_case(3, system="pendulum", effect="coulomb_friction", second="cubic_stiffness", **SHORT)
-
-
-def probe_of(name, samples=50):
-    rng, system = np.random.default_rng(4), SYSTEMS[name]
-    return draw_probe(rng, system, system.draw_psi(rng), 0.02 * np.arange(samples))
 
 
 def test_a_seed_makes_the_same_case(case):
@@ -79,49 +72,6 @@ def test_sizes_are_what_psi_cannot_absorb(case, pair):
     assert case.answer["verdict"] == pair.answer["verdict"] == "mismatch"
     told = make_case(2, system="slider", effect="cubic_stiffness", size=12.0, **SHORT).answer["effects"][0]
     assert told["size_in_noise_sds"] == pytest.approx(12.0, rel=0.1)
-
-
-def test_a_size_is_what_a_refit_leaves():
-    probe = probe_of("lift_arm")
-    found = find(np.random.default_rng(2), probe, ("com_offset", "jib"), 8.0)
-    assert found is not None and found.size == pytest.approx(8.0, rel=0.1)
-    assert refit(probe, probe.with_effects(found.effect)).left == pytest.approx(found.size, rel=1e-6)
-    # the fit that knows the effect leaves nothing
-    start = Effect("com_offset", "body", "jib", {"offset": [1e-3, 1e-3, 1e-3]})
-    assert refit(probe, probe.with_effects(found.effect), [start]).left < 0.02
-
-
-def test_a_psi_that_varies_absorbs_what_differs_by_recording():
-    probe, system = probe_of("pendulum"), SYSTEMS["pendulum"]
-    masses = [probe.psi["rod_mass"] * factor for factor in (0.95, 1.0, 1.06)]
-    truths = [
-        simulate_reality(system, {**probe.psi, "rod_mass": mass}, (), start, probe.times, inputs, 1).columns
-        for mass, start, inputs in zip(masses, probe.starts, probe.inputs, strict=True)
-    ]
-    assert refit(probe, truths).left > 1.0
-    assert refit(replace(probe, varying=("rod_mass",)), truths).left < 1e-2
-
-
-def test_what_is_beyond_its_range_or_psis_own_is_not_concealed():
-    probe, rng = probe_of("slider"), np.random.default_rng(2)
-    for place in (("viscous_damping", "rail"), ("armature", "rail"), ("mass_error", "carriage")):
-        assert find(rng, probe, place, 5.0) is None
-    with pytest.raises(ValueError, match="psi cannot absorb"):
-        make_case(1, system="slider", effect="armature", **SHORT)
-
-
-def test_a_pair_has_two_effects_that_stay():
-    probe, rng = probe_of("pendulum"), np.random.default_rng(2)
-    friction = find(rng, probe, ("coulomb_friction", "pivot"), 8.0)
-    stribeck = find(rng, probe, ("stribeck_friction", "pivot"), 8.0)
-    stiffening = find(rng, probe, ("cubic_stiffness", "pivot"), 8.0)
-    assert friction and stribeck and stiffening
-    assert both_kept(probe, friction, stiffening)
-    both = probe.with_effects(friction.effect, stribeck.effect)
-    assert refit(probe, both, [stribeck.effect]).left < KEPT
-    assert not both_kept(probe, friction, stribeck)
-    assert clash(("actuator_gain", "drive"), ("actuator_bias", "drive"))
-    assert not clash(("coulomb_friction", "pivot"), ("cubic_stiffness", "pivot"))
 
 
 def test_the_pair_is_in_the_answer(pair):
@@ -169,30 +119,6 @@ def test_unknown_names_are_refused():
         make_case(1, size=100.0)
     with pytest.raises(ValueError, match="positions_only"):
         make_case(1, system="slider", variants=("blurred",))
-
-
-@pytest.mark.parametrize(
-    ("name", "effect", "rival"),
-    [
-        ("pendulum", Effect("quadratic_drag", "body", "rod", {"coefficient": 0.2}), "quadratic_damping"),
-        ("slider", Effect("sensor_bias", "sensor", "qpos/rail", {"offset": 0.02}), "constant_force"),
-        ("slider", Effect("constant_force", "joint", "rail", {"force": 0.8}), "gravity_tilt"),
-        ("pan_tilt", Effect("actuator_bias", "actuator", "pan_servo", {"offset": 0.05}), "constant_force"),
-    ],
-)
-def test_equivalents_make_the_same_recordings(name, effect, rival):
-    probe = probe_of(name)
-    found = {entry["name"]: entry for entry in accepted(np.random.default_rng(1), probe, effect, 10_000)}
-    assert rival in found
-    entry = found[rival]
-    same = Effect(rival, entry["element"]["kind"], entry["element"]["name"], entry["parameters"])
-    assert refit(probe, probe.with_effects(effect), [same]).left < 0.02
-
-
-def test_what_can_be_told_apart_is_not_accepted():
-    probe = probe_of("cart_pole")
-    effect = Effect("coulomb_friction", "joint", "track", {"force": 1.0})
-    assert accepted(np.random.default_rng(1), probe, effect, 10_000) == []
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

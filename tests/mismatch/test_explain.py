@@ -74,10 +74,10 @@ def test_under_a_misfit_beyond_the_noise_other_recordings_decide(drag, monkeypat
     assert min(wrong.noise_inflation, less_wrong.noise_inflation) > module.MODEL_ERROR
     slot = Slot(base, (), (Ranked(friction, wrong, 90.0), Ranked(damping, less_wrong, 60.0)))
     monkeypatch.setattr(module, "refine_pairs", lambda *_: [])
-    for scores, chosen in (((3, 2, 5), less_wrong), ((2, 3, 5), wrong), ((6, 7, 5), None)):
+    for scores, chosen in (((3, 2, 5), less_wrong), ((2, 3, 5), wrong), ((4.9, 7, 5), None)):
         of = dict(zip(map(id, (wrong, less_wrong, base)), scores, strict=True))
         monkeypatch.setattr(module, "unseen", lambda f, _, of=of: of[id(f)])
-        assert module._better(slot, 10.0) is chosen
+        assert module._better(slot, 10.0, base) is chosen
 
 
 def test_recordings_that_were_left_out_are_told_by_the_right_effect(tmp_path):
