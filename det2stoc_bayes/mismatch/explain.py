@@ -96,8 +96,8 @@ def _grow(
 def _better(slot: Slot, needed: float, believed: Fit) -> Fit | None:
     """The next step: the addition, or the two, with most evidence; None where nothing earns its place.
 
-    While all contenders leave a misfit beyond the noise, evidence favours what bends to the fitted recordings, and what
-    tells others best is taken, if each addition explains more than next to nothing of the believed model's misfit there.
+    While all contenders leave a misfit beyond the noise, evidence favours what bends to the fitted recordings. Then the
+    one is taken that tells others best; each addition must explain a share of the believed model's misfit there.
     """
     base, single = slot.base, {r.placed: r.fit for r in slot.ranked}
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
