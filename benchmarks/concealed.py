@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +35,21 @@ def revision() -> str:
     return subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
 
 
-def draw_case(seed: str, kind: str, index: int) -> ConcealedCase:
+@dataclass(frozen=True)
+class Choice:
+    """From which systems cases are drawn, and whether all of them are free of variants."""
+
+    systems: tuple[str, ...] = tuple(SYSTEMS)
+    plain: bool = False
+
+
+def draw_case(seed: str, kind: str, index: int, choice: Choice) -> ConcealedCase:
     """Case `index` of a kind; half of all have one or two variants. What cannot be concealed is drawn again."""
     rng = np.random.default_rng([int(seed, 16), KINDS.index(kind), index])
     while True:
-        system = list(SYSTEMS)[rng.integers(len(SYSTEMS))]
+        system = choice.systems[rng.integers(len(choice.systems))]
         options = possible(SYSTEMS[system])
-        count = int(rng.integers(1, MOST_VARIANTS + 1)) if rng.uniform() < 0.5 else 0
+        count = int(rng.integers(1, MOST_VARIANTS + 1)) if rng.uniform() < 0.5 and not choice.plain else 0
         variants = tuple(sorted(rng.choice(options, count, replace=False).tolist()))
         number = int(rng.integers(2**31))
         try:
@@ -68,14 +77,15 @@ def diagnosed(case: ConcealedCase) -> tuple[dict[str, Any], float, float]:
         return json.loads(result.read_text("utf-8")), seconds, megabytes
 
 
-def one(seed: str, kind: str, index: int, commit: str) -> dict[str, Any]:
+def one(seed: str, kind: str, index: int, commit: str, choice: Choice) -> dict[str, Any]:
     """Make, diagnose and score one case: its line in the log."""
-    case = draw_case(seed, kind, index)
+    case = draw_case(seed, kind, index, choice)
     diagnosis, seconds, megabytes = diagnosed(case)
     kept = ("verdict", "effects", "candidates", "fit", "psi", "error")
     return {
         "commit": commit,
         "seed": seed,
+        "choice": asdict(choice),
         "kind": kind,
         "index": index,
         "case_seed": case.seed,
@@ -92,26 +102,27 @@ def scored(line: Mapping[str, Any]) -> CaseScore:
     return score(line["answer"], line["diagnosis"])
 
 
-def finished(seed: str, commit: str) -> dict[tuple[str, int], dict[str, Any]]:
-    """Logged cases of this seed and commit, by kind and index; a line that was cut off does not count."""
+def finished(seed: str, commit: str, choice: Choice) -> dict[tuple[str, int], dict[str, Any]]:
+    """Logged cases of this run, by kind and index; a line that was cut off does not count."""
+    wanted = json.loads(json.dumps({"seed": seed, "commit": commit, "choice": asdict(choice)}))
     found: dict[tuple[str, int], dict[str, Any]] = {}
     for text in LOG.read_text("utf-8").splitlines() if LOG.is_file() else ():
         try:
             line = json.loads(text)
         except json.JSONDecodeError:
             continue
-        if line.get("seed") == seed and line.get("commit") == commit and "kind" in line:
+        if "kind" in line and all(line.get(key) == value for key, value in wanted.items()):
             found[line["kind"], line["index"]] = line
     return found
 
 
-def run(seed: str, counts: Mapping[str, int], commit: str, jobs: int) -> list[Row]:
+def run(seed: str, counts: Mapping[str, int], commit: str, jobs: int, choice: Choice) -> list[Row]:
     """All cases that are not in the log yet; gives every case's row, in order."""
-    done = finished(seed, commit)
+    done = finished(seed, commit, choice)
     wanted = [(kind, index) for kind in KINDS for index in range(counts[kind])]
     LOG.parent.mkdir(exist_ok=True)
     with ThreadPoolExecutor(jobs) as pool:
-        waiting = {key: pool.submit(one, seed, *key, commit) for key in wanted if key not in done}
+        waiting = {key: pool.submit(one, seed, *key, commit, choice) for key in wanted if key not in done}
         try:
             for number, (key, future) in enumerate(waiting.items(), 1):
                 line = future.result()
@@ -135,6 +146,8 @@ def main() -> int:
     parser.add_argument("--controls", type=int, default=5)
     parser.add_argument("--seed", help="hexadecimal; default: the first 8 digits of HEAD")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
+    parser.add_argument("--systems", nargs="+", choices=tuple(SYSTEMS), default=tuple(SYSTEMS), metavar="SYSTEM")
+    parser.add_argument("--plain", action="store_true", help="no variants: states recorded evenly, noise told")
     a = parser.parse_args()
     commit = revision()
     seed = a.seed or commit[:8]
@@ -146,7 +159,7 @@ def main() -> int:
         parser.error("counts are not negative, and --jobs is at least 1")
     counts = {"effect": a.effects, "pair": a.pairs, "control": a.controls}
     try:
-        rows = run(seed, counts, commit, a.jobs)
+        rows = run(seed, counts, commit, a.jobs, Choice(tuple(a.systems), a.plain))
     except KeyboardInterrupt:
         print("interrupted; the same command goes on from here", file=sys.stderr)
         return 130

@@ -22,7 +22,7 @@ def bench(tmp_path, monkeypatch):
     spec.loader.exec_module(module)
     monkeypatch.setattr(module, "LOG", tmp_path / "results" / "log.jsonl")
     case = make_case(1, system="slider", control=True, num_recordings=1, num_samples=30)
-    monkeypatch.setattr(module, "draw_case", lambda seed, kind, index: case)
+    monkeypatch.setattr(module, "draw_case", lambda seed, kind, index, choice: case)
     return module
 
 
@@ -37,7 +37,7 @@ def test_an_interrupted_run_goes_on(bench, monkeypatch):
 
     monkeypatch.setattr(bench, "diagnosed", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        bench.run("ab12", COUNTS, "c0", 1)
+        bench.run("ab12", COUNTS, "c0", 1, bench.Choice())
     with bench.LOG.open("a") as log:
         log.write('{"seed": "ab12", "cut')
     with bench.LOG.open("a") as log:
@@ -45,12 +45,14 @@ def test_an_interrupted_run_goes_on(bench, monkeypatch):
     before = len(bench.LOG.read_text().splitlines())
     asked.clear()
     monkeypatch.setattr(bench, "diagnosed", lambda case: (asked.append(case.seed), (NO_ALARM, 1.5, 200.0))[1])
-    rows = bench.run("ab12", COUNTS, "c0", 1)
+    rows = bench.run("ab12", COUNTS, "c0", 1, bench.Choice())
     assert len(rows) == 3 and len(asked) == 4 - before and all(score.named for _, score, _, _ in rows)
-    bench.run("ab12", COUNTS, "c0", 1)
+    bench.run("ab12", COUNTS, "c0", 1, bench.Choice())
     assert len(asked) == 4 - before
-    bench.run("ab12", {**COUNTS, "control": 1}, "c1", 1)
+    bench.run("ab12", {**COUNTS, "control": 1}, "c1", 1, bench.Choice())
     assert len(asked) == 5 - before  # another commit is another run
+    bench.run("ab12", {**COUNTS, "control": 1}, "c1", 1, bench.Choice(("slider",), plain=True))
+    assert len(asked) == 6 - before  # and so is another choice of cases
 
 
 def test_a_diagnosis_sees_the_study_alone_and_its_end_is_told(bench, monkeypatch, tmp_path):
@@ -61,12 +63,12 @@ def test_a_diagnosis_sees_the_study_alone_and_its_end_is_told(bench, monkeypatch
     script.write_text(f'#!/bin/sh\nexec {sys.executable} -c "{body}" "$@"\n')
     script.chmod(0o755)
     monkeypatch.setattr(bench.sys, "executable", str(script))
-    diagnosis, seconds, megabytes = bench.diagnosed(bench.draw_case("1", "control", 0))
+    diagnosis, seconds, megabytes = bench.diagnosed(bench.draw_case("1", "control", 0, bench.Choice()))
     assert diagnosis["found"] == ["holdout", "model.xml", "recordings", "study.toml"]
     assert set(diagnosis["around"]) <= {"study", "out", "said"}
     assert seconds > 0.0 and megabytes > 1.0  # a child starts with its parent's peak
     script.write_text("#!/bin/sh\necho broken\nexit 3\n")
-    failed, _, _ = bench.diagnosed(bench.draw_case("1", "control", 0))
+    failed, _, _ = bench.diagnosed(bench.draw_case("1", "control", 0, bench.Choice()))
     assert failed["verdict"] == "failed (3)" and failed["error"] == "broken\n"
-    line = bench.one("1", "control", 0, "c0")
+    line = bench.one("1", "control", 0, "c0", bench.Choice())
     assert not bench.scored(json.loads(json.dumps(line))).named
