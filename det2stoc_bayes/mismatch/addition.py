@@ -1,6 +1,7 @@
 """What columns that are added to a fit would earn, were predictions linear in their coefficients."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -45,6 +46,7 @@ def add(
     return None
 
 
+@lru_cache(maxsize=4)  # thousands of pairs are added to one fit
 def _room(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """How far each unknown may go down and up, were psi linear in it."""
     problem, z = fit.problem, fit.point.z

@@ -8,7 +8,7 @@ import numpy as np
 from det2stoc_bayes.mismatch.crossed import FOLDS, unseen
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_told
-from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE, held_out, share_explained
+from det2stoc_bayes.mismatch.heldout import CHANCE, NEGLIGIBLE, held_out, share_explained
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.race import (
     Progress,
@@ -102,7 +102,8 @@ def _better(slot: Slot, needed: float, believed: Fit) -> Fit | None:
     base, single = slot.base, {r.placed: r.fit for r in slot.ranked}
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
     least = needed + max([0.0, *(s.log_evidence for s in slot.screened[:1])])
-    both = refine_pairs(base, slot.screened, least) if len(base.problem.effects) + 2 <= MAX_EFFECTS else []
+    room = len(base.problem.effects) + 2 <= MAX_EFFECTS and not (alone and _within_chance(alone[0]))
+    both = refine_pairs(base, slot.screened, least) if room else []
     contenders = [*both, *alone[:NUM_CROSSED]]
     if not contenders:
         return None
@@ -117,6 +118,11 @@ def _better(slot: Slot, needed: float, believed: Fit) -> Fit | None:
     scores = [unseen(f, tolerance(f)) + price * (len(f.problem.effects) - first) for f in (base, *contenders)]
     best = int(np.argmin(scores))
     return contenders[best - 1] if best else None
+
+
+def _within_chance(fit: Fit) -> bool:
+    """Whether the misfit is no larger than the noise's own scatter makes it."""
+    return bool(fit.noise_inflation - 1 < CHANCE * np.sqrt(2 / fit.linear.degrees_of_freedom))
 
 
 def _without_useless(
