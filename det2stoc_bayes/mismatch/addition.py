@@ -34,7 +34,9 @@ def add(
     support, and a coefficient that must be positive and would not be is left out; None where none is left.
     """
     size = fit.problem.size
-    low, high = (np.concatenate([bound, end]) for bound, end in zip(_room(fit), _wall(positive), strict=True))
+    down, up = _room(fit)
+    low = np.concatenate([down, np.where(positive, 0.0, -np.inf)])
+    high = np.concatenate([up, np.full(len(positive), np.inf)])
     held = np.full(len(slope), np.nan)  # values of what stays at its bound
     while np.isnan(held[size:]).any():
         step, chi2, s2 = _solved(fit, gram, slope, sd, held)
@@ -57,10 +59,6 @@ def _room(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         far[psi] = sign * np.maximum(FARTHEST, np.abs(z[psi]))
         end[psi] = straight(far)[psi]
     return np.maximum(low, np.minimum(problem.floor - z, 0.0)), high
-
-
-def _wall(positive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return np.where(positive, 0.0, -np.inf), np.full(len(positive), np.inf)
 
 
 def _solved(fit: Fit, gram: np.ndarray, slope: np.ndarray, sd: np.ndarray, held: np.ndarray):

@@ -61,19 +61,20 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         lean = again
     if len(grown.problem.effects) == 0:
         return Explanation(before, before, (first,), count, 1.0)
-    same = grown.problem.segments.count == before.problem.segments.count
-    if len(grown.problem.effects) == 1 and same:
+    bare = _bare(before, grown)
+    if len(grown.problem.effects) == 1 and bare is before:
         own = next((r for r in first.ranked if r.placed == grown.problem.effects[0]), None)
         if own is not None:  # a later effect, left alone once the first was dropped, may not be there
             slot = replace(first, ranked=_rivals(own, first.ranked))
             return Explanation(before, grown, (slot,), count, effective_share(grown))
-    before = before if same else _bare(before, grown)
     slots = tuple(_judge(grown, i, lean.get(e), pool, progress) for i, e in enumerate(grown.problem.effects))
-    return Explanation(before, grown, slots, count, effective_share(grown))
+    return Explanation(bare, grown, slots, count, effective_share(grown))
 
 
 def _bare(before: Fit, grown: Fit) -> Fit:
     """The believed model on the segments of the explanation; as it was where it cannot follow them."""
+    if grown.problem.segments.count == before.problem.segments.count:
+        return before
     found = refit(grown, ())
     return before if found is grown else found
 
@@ -135,8 +136,7 @@ def _without_useless(
     useless: set[PlacedEffect] = set()
     if not grown.problem.effects or grown.noise_inflation < MODEL_ERROR:
         return grown, lean, useless
-    same = grown.problem.segments.count == before.problem.segments.count
-    bare = before if same else _bare(before, grown)
+    bare = _bare(before, grown)
     believed = held_out(bare)
     while effects := grown.problem.effects:
         one = len(effects) == 1
