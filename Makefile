@@ -65,6 +65,6 @@ $(READY):
 		"$$found" -m venv .venv; \
 	fi; \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION); \
-	UV_PYTHON_DOWNLOADS=never VIRTUAL_ENV= $(BIN)/uv sync --frozen --quiet --python $(BIN)/python; \
+	UV_PYTHON_DOWNLOADS=never VIRTUAL_ENV= $(BIN)/uv sync --frozen --quiet --compile-bytecode --python $(BIN)/python; \
 	rm -f .venv/.ready-*; \
 	touch $@

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.likelihood import LatentStarts
@@ -64,12 +64,19 @@ class Density:
         return np.sqrt(self.temper) * self.latent.project(self.latent.stack_whitened(columns, offset))
 
     def log_likelihood_by_segment(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points segments"]:
-        """One term a segment; -inf where its simulation diverged."""
-        z = np.asarray(z, dtype=float)
+        """One term a segment; -inf where its simulation diverged, and where a positive parameter is not."""
+        z, beyond = self._walled(z)
         out = np.empty((len(z), self.problem.segments.count))
         for rows in self.chunks(len(z)):
             out[rows] = self.terms(self.projected(z[rows]))
-        return out
+        return np.where(beyond[:, None], -np.inf, out)
+
+    def _walled(
+        self, z: Float[np.ndarray, "points size"]
+    ) -> tuple[Float[np.ndarray, "points size"], Bool[np.ndarray, " points"]]:
+        """Points moved to where positive parameters of effects are 0 at least, and which of them had to be."""
+        z, floor = np.asarray(z, dtype=float), self.problem.floor
+        return np.maximum(z, floor), (z < floor).any(1)
 
     def chunks(self, points: int, variants: int = 1) -> Iterator[slice]:
         """Points whose residuals, `variants` each, fit in memory together."""
@@ -124,7 +131,7 @@ class Density:
 
         Along posterior axes; where psi varies by recording, along the unknowns, all recordings' own ones at once.
         """
-        directions = self._directions
+        directions, (z, beyond) = self._directions, self._walled(z)
         terms, gradients = np.empty((len(z), self.problem.segments.count)), np.empty(z.shape)
         variants = 1 + 2 * len(directions)
         steps = np.concatenate([np.zeros((1, self.size)), directions, -directions])
@@ -137,6 +144,7 @@ class Density:
             # A neighbour that diverges tells nothing: no force along that axis.
             gradients[rows] = self._along_unknowns(-np.nan_to_num(slope, nan=0.0))
         self.problem.simulator.counter.gradients += len(z)
+        terms[beyond] = -np.inf
         return self.by_recording(terms), gradients
 
     @cached_property

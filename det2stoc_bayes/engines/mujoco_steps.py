@@ -10,6 +10,7 @@ from jaxtyping import Float
 from det2stoc_bayes.engines import drive
 from det2stoc_bayes.engines.base import EffectRows
 from det2stoc_bayes.engines.layout import integrate_positions
+from det2stoc_bayes.engines.places import body_state
 from det2stoc_bayes.mismatch.effects.base import BodyState, JointState
 
 _NONE, _VEL = mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL
@@ -119,11 +120,6 @@ class Stepper:
         return JointState(self.qpos[rows, at.qpos] + self.lead * speed, speed, time, given)
 
     def _body_state(self, e: EffectRows) -> BodyState:
-        at, rows = e.placed.element, e.rows
-        cvel, root = self.derived["cvel"][rows, at.body], self.model.body_rootid[at.body]
-        lever = self.derived["xipos"][rows, at.body] - self.derived["subtree_com"][rows, root]
-        geoms = np.flatnonzero(self.model.geom_bodyid == at.body)
-        sizes = self.model.geom_size[geoms] if self.sizes is None else self.sizes[rows][:, geoms]
-        shapes = tuple(int(t) for t in self.model.geom_type[geoms])
-        velocity = cvel[:, 3:] + np.cross(cvel[:, :3], lever)
-        return BodyState(velocity, self.time[rows] + self.lead, cvel[:, :3], shapes, sizes)
+        rows, sizes = e.rows, self.model.geom_size[None] if self.sizes is None else self.sizes[e.rows]
+        cvel, xipos, com = (self.derived[n][rows] for n in ("cvel", "xipos", "subtree_com"))
+        return body_state(self.model, e.placed.element, cvel, xipos, com, sizes, self.time[rows] + self.lead)

@@ -28,6 +28,7 @@ FEWEST, MOST = 128, 1024  # exact evaluations a round; powers of two, for Sobol'
 DEGREES = 5  # of freedom of the proposal
 NUM_ROUNDS = 3  # of which the later ones adapt
 NUM_PARTICLES = 512
+SPARE = 8  # times as many draws of a Gaussian as are kept, so that some are within the walls
 
 LogDensity = Callable[[Float[np.ndarray, "points size"]], Float[np.ndarray, " points"]]
 Temper = Callable[[LogDensity, LogDensity, np.ndarray, int], np.ndarray]
@@ -43,8 +44,8 @@ class Belief:
     fit: Fit
     density: Density
     z: Float[np.ndarray, "draws size"]
-    terms: Float[np.ndarray, "draws recordings"]  # tempered log likelihood
-    method: str  # laplace+psis, adapted, smc or nuts
+    terms: Float[np.ndarray, "draws recordings"] | None  # tempered log likelihood; None: draws were not weighed
+    method: str  # laplace, laplace+psis, adapted, smc or nuts
     k_hat: float | None  # of the importance weights; None: nothing to weigh
     evaluations: int
 
@@ -82,6 +83,22 @@ def believe(fit: Fit, share: float, seed: int, *, temper: Temper | None = None, 
         except SamplingFailed:
             pass  # k-hat already says how far the draws can be trusted
     return drawn.belief(own, "adapted", num_draws)
+
+
+def roughly(fit: Fit, share: float, seed: int, *, num_draws: int = NUM_DRAWS) -> Belief:
+    """Draws of Laplace's approximation itself, within the walls of positive parameters.
+
+    For fits that leave a misfit: the widened likelihood is a convention there, and weighing by it adds no truth.
+    """
+    power = share / fit.noise_scale
+    varies = bool(fit.problem.unknowns.varying) and fit.problem.spreads is not None
+    own = freed(fit) if varies else fit
+    coordinates = Population(fit, own.problem.unknowns, power) if varies else Affine(own, power)
+    normal = np.random.default_rng(seed).standard_normal((SPARE * num_draws, coordinates.size))
+    z, floor = coordinates(normal)[0], own.problem.floor
+    inside = np.flatnonzero((z >= floor).all(1))
+    chosen = np.resize(inside, num_draws) if len(inside) else np.arange(num_draws)
+    return Belief(own, Density.at(own, power), np.maximum(z[chosen], floor), None, "laplace", None, 0)
 
 
 def with_chains(cheap: Belief, chains: Float[np.ndarray, "chain draw size"], evaluations: int) -> Belief:

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.belief import Belief, Sampler, Temper, affordable, believe, with_chains
+from det2stoc_bayes.mismatch.belief import Belief, Sampler, Temper, affordable, believe, roughly, with_chains
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.mismatch.heldout import HeldOut, held_out
 from det2stoc_bayes.mismatch.judgement import Judgement
 from det2stoc_bayes.mismatch.leave_out import checked
@@ -63,8 +64,7 @@ def weigh(
         same = name == "after" and judged.after is judged.before
         # A rival's draws serve the comparison with chains alone.
         if name in ("before", "after") or sampler is not None:
-            particles = temper if affordable(fit) else None
-            beliefs[name] = beliefs["before"] if same else believe(fit, share, seed, temper=particles)
+            beliefs[name] = beliefs["before"] if same else _believed(fit, share, seed, temper)
     progress("weighing draws by the exact likelihood", len(fits), len(fits))
     compared = []
     if sampler is not None:
@@ -91,6 +91,13 @@ def weigh(
         exact=tuple(compared),
     )
     return replace(judged, held_before=held_before, held_after=held_after), credence
+
+
+def _believed(fit: Fit, share: float, seed: int, temper: Temper | None) -> Belief:
+    """Draws that the exact likelihood weighs, unless a misfit remains."""
+    if fit.noise_inflation >= MODEL_ERROR:
+        return roughly(fit, share, seed)
+    return believe(fit, share, seed, temper=temper if affordable(fit) else None)
 
 
 def _rivals(judged: Judgement) -> dict[str, Fit]:

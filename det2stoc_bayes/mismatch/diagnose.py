@@ -14,7 +14,6 @@ from det2stoc_bayes.mismatch.compose import Composer
 from det2stoc_bayes.mismatch.conflict import resolved
 from det2stoc_bayes.mismatch.credence import weigh
 from det2stoc_bayes.mismatch.explain import explain
-from det2stoc_bayes.mismatch.heldout import fitted
 from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
 from det2stoc_bayes.mismatch.numerics import check_numerics
@@ -122,15 +121,15 @@ def _patch(judged: Judgement, composer: Composer) -> Patch:
 def _arrays(judged: Judgement, composer: Composer) -> result.DataTree:
     """Draws, rollouts and the ranking of candidates: fit.nc."""
     study, before, after = composer.study, judged.before, judged.after
-    fit_before = fitted(before)
-    fit_after = fit_before if after is before else fitted(after)
+    fit_before = result.fitted_paths(before)
+    fit_after = fit_before if after is before else result.fitted_paths(after)
     groups = {
         "before/posterior": result.posterior(composer.credence.before.fit, composer.credence.before.z),
         "after/posterior": result.posterior(composer.credence.after.fit, composer.credence.after.z),
     }
     runs = result.rollouts(before, fit_before, fit_after, study.recordings, "recordings", composer.when)
     if study.holdout:
-        held = judged.held_before, judged.held_after
+        held = judged.held_before.rollouts, judged.held_after.rollouts
         runs |= result.rollouts(before, *held, study.holdout, "holdout", composer.when)
     groups |= {f"rollouts/{name}": data for name, data in runs.items()}
     chance = {m.placed.label: c.probability for place in judged.places[:1] for c in place for m in c.members}

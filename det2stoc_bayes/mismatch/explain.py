@@ -11,6 +11,7 @@ from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_t
 from det2stoc_bayes.mismatch.heldout import CHANCE, NEGLIGIBLE, held_out, share_explained
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.race import (
+    PROMISING,
     Progress,
     Ranked,
     Slot,
@@ -21,11 +22,12 @@ from det2stoc_bayes.mismatch.race import (
     threshold,
     tolerance,
 )
-from det2stoc_bayes.mismatch.refit import refit, reordered, without
+from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without
 from det2stoc_bayes.optimize import Fit
 
 MAX_EFFECTS = 3
 NUM_CROSSED = 3  # single additions, beside pairs, that other recordings decide between
+CLEARLY = 1.0  # nats by which a rival must be ahead to take an effect's place
 AHEAD = 5.0  # nats by which an effect may be ahead of a rival without further question
 MAX_ROUNDS = 3  # explanations, each without what the last had in vain
 
@@ -67,8 +69,32 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         if own is not None:  # a later effect, left alone once the first was dropped, may not be there
             slot = replace(first, ranked=_rivals(own, first.ranked))
             return Explanation(before, grown, (slot,), count, effective_share(grown))
-    slots = tuple(_judge(grown, i, lean.get(e), pool, progress) for i, e in enumerate(grown.problem.effects))
+    if len(grown.problem.effects) == 1:
+        pool = _promising(first, grown.problem.effects[0])
+    grown, slots = _judged(grown, lean, pool, progress)
     return Explanation(bare, grown, slots, count, effective_share(grown))
+
+
+def _promising(slot: Slot, own: PlacedEffect) -> list[PlacedEffect]:
+    """Candidates that explained much of what one effect explains: others need no second look at a longer horizon."""
+    least = PROMISING * slot.screened[0].log_evidence
+    return [s.placed for s in slot.screened if s.log_evidence > least or s.placed == own]
+
+
+def _judged(
+    grown: Fit, lean: dict[PlacedEffect, Fit], pool: Sequence[PlacedEffect], progress: Progress
+) -> tuple[Fit, tuple[Slot, ...]]:
+    """Every place of the list with what could stand there; what clearly has more evidence takes the place."""
+    slots: dict[int, Slot] = {}
+    swaps = 0
+    while stale := [i for i in range(len(grown.problem.effects)) if i not in slots]:
+        i = stale[0]
+        own = grown.problem.effects[i]
+        slots[i] = _judge(grown, i, lean.get(own), pool, progress)
+        best, present = slots[i].ranked[0], next(r for r in slots[i].ranked if r.placed == own)
+        if best.gain > present.gain + CLEARLY and best.placed not in grown.problem.effects and swaps < MAX_EFFECTS:
+            grown, lean, slots, swaps = swap(grown, i, best), {}, {i: slots[i]}, swaps + 1
+    return grown, tuple(slots[i] for i in range(len(slots)))
 
 
 def _bare(before: Fit, grown: Fit) -> Fit:
@@ -89,7 +115,7 @@ def _grow(
         if better is None:
             return _prune(slot.base, needed)
         better = extend(better)
-        if len(better.problem.effects) >= MAX_EFFECTS:
+        if len(better.problem.effects) >= MAX_EFFECTS or _enough(better, first.base):
             return _prune(better, needed)
         slot = look(better, pool, progress)
 
@@ -103,7 +129,7 @@ def _better(slot: Slot, needed: float, believed: Fit) -> Fit | None:
     base, single = slot.base, {r.placed: r.fit for r in slot.ranked}
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
     least = needed + max([0.0, *(s.log_evidence for s in slot.screened[:1])])
-    room = len(base.problem.effects) + 2 <= MAX_EFFECTS and not (alone and _within_chance(alone[0]))
+    room = len(base.problem.effects) + 2 <= MAX_EFFECTS and not (alone and _enough(alone[0], believed))
     both = refine_pairs(base, slot.screened, least) if room else []
     contenders = [*both, *alone[:NUM_CROSSED]]
     if not contenders:
@@ -121,9 +147,11 @@ def _better(slot: Slot, needed: float, believed: Fit) -> Fit | None:
     return contenders[best - 1] if best else None
 
 
-def _within_chance(fit: Fit) -> bool:
-    """Whether the misfit is no larger than the noise's own scatter makes it."""
-    return bool(fit.noise_inflation - 1 < CHANCE * np.sqrt(2 / fit.linear.degrees_of_freedom))
+def _enough(fit: Fit, believed: Fit) -> bool:
+    """Whether what is left is chance, or within the noise and negligible beside the believed model's misfit."""
+    left, chance = fit.noise_inflation - 1, CHANCE * np.sqrt(2 / fit.linear.degrees_of_freedom)
+    small = fit.noise_inflation < MODEL_ERROR and left < NEGLIGIBLE * (believed.noise_inflation - 1)
+    return bool(small or left < chance)
 
 
 def _without_useless(

@@ -171,7 +171,7 @@ class PsiChange(Entry):
 class BeliefOf(Entry):
     """How a posterior was drawn."""
 
-    method: Literal["laplace+psis", "adapted", "smc", "nuts"]
+    method: Literal["laplace", "laplace+psis", "adapted", "smc", "nuts"]
     k_hat: Number = Field(description="tail of the importance weights: reliable below 0.7; null: all weights equal")
     draws: int
     evaluations: int = Field(description="simulations of all recordings that it took")

@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 from det2stoc_bayes.mismatch.classes import Class, classes
 from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.finding import SURE
-from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE, HeldOut, held_out, share_explained
+from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE, HeldOut, excess_beyond_chance, held_out, share_explained
 from det2stoc_bayes.mismatch.numerics import Numerics
 from det2stoc_bayes.mismatch.refit import swap, without
 from det2stoc_bayes.optimize import Fit, fit_many
@@ -61,7 +62,7 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     named, negligible = [], []
     for i, placed in enumerate(after.problem.effects):
         explains = _explained(found, after, i, held_before, whole, numerics is None)
-        if explains < NEGLIGIBLE:
+        if explains < NEGLIGIBLE and not _plain(after, explains, held_before):
             negligible.append((placed, explains))
         else:
             chosen = _class_of(places[i], placed)
@@ -81,6 +82,12 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     return Judgement(
         verdict, before, after, found, places, tuple(named), tuple(negligible), numerics, share, held_before, held_after
     )
+
+
+def _plain(after: Fit, explains: float, believed: HeldOut) -> bool:
+    """Whether an effect changes recordings by more than their noise, in a model that explains them."""
+    change = explains * excess_beyond_chance(believed)
+    return after.noise_inflation < MODEL_ERROR and change > believed.num_values.sum()
 
 
 def _at_believed_step(fit: Fit) -> Fit:

@@ -10,7 +10,12 @@ from det2stoc_bayes.psis import reliable, smooth
 
 
 def k_hats(belief: Belief) -> dict[str, float]:
-    """k-hat of weights 1 / p(recording | z) on a posterior's draws: how far its removal moves the posterior."""
+    """k-hat of weights 1 / p(recording | z) on a posterior's draws: how far its removal moves the posterior.
+
+    Empty where the draws were not weighed.
+    """
+    if belief.terms is None:
+        return {}
     names = [r.name for r in belief.fit.problem.segments.recordings]
     return {name: smooth(-terms)[1] for name, terms in zip(names, belief.terms.T, strict=True)}
 

@@ -8,21 +8,25 @@ response to any history of forces, and to any other effect by its defects d and 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
+from det2stoc_bayes.engines.drive import drive_of
 from det2stoc_bayes.engines.layout import integrate_positions, position_difference
+from det2stoc_bayes.engines.places import Places, places
 from det2stoc_bayes.linearization import START_STEP
-from det2stoc_bayes.mismatch.effects.base import Effect, Element, JointState, PlacedEffect, Typical
+from det2stoc_bayes.mismatch.effects.base import BodyState, Drive, Effect, Element, JointState, PlacedEffect, Typical
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import merge_requests
 from det2stoc_bayes.segments import from_pieces
 
 NUM_INSIDE = 8  # points of an interval at which a force is averaged
 COMMAND_STEP = 1e-3  # of a unit of the command: what follows is linear, or too stiff to see
+FRICTION_STEP = 3e-3  # of the typical force: slips wherever the joint moves
 FORCE_STEP = 1e-3  # of the force that would change the speed by its own spread in one interval
 
 
@@ -34,6 +38,7 @@ class Response:
         segments, model = self.problem.segments, self.problem.simulator.model
         request = self.problem.request(self.point.z[None], self.point.start)
         path = self.problem.simulator.engine.trajectory(request)
+        self._fields = request.fields
         self.real = np.diff(segments.time, axis=1) > 0  # intervals that are not padding
         self.shape = self.real.shape
         self.pieces = [
@@ -111,34 +116,52 @@ class Response:
         self, at: Element, effect: Effect, trials: Sequence[Mapping[str, float]]
     ) -> tuple[np.ndarray, np.ndarray]:
         """d and e of what an effect without memory makes of an actuator's commands: its mean over each interval."""
-        problem, ctrl = self.problem, at.ctrl
-        dt = problem.timestep or float(problem.simulator.model.opt.timestep)
-        values = problem.effect_values(self.point.z[None])
-        there = [
-            (p.effect, {n: np.asarray(v) for n, v in v.items()})
-            for p, v in zip(problem.effects, values, strict=True)
-            if p.effect.uses("control") and p.element.ctrl == ctrl
-        ]
-        tried = [{n: np.array([v]) for n, v in t.items()} for t in trials]
-        before = int(np.ceil(max((e.memory(p) for e, p in there), default=0.0) / dt)) + 2
-        segments = problem.segments
-        u = segments.commands(np.arange(segments.count), dt, int(segments.steps(dt).max()) + 1, before)[..., ctrl]
-        time = segments.time[:, :1] + (np.arange(u.shape[1]) - before) * dt
-        for e, p in there:
-            u = e.control(p, u, time, dt, np)
-        change = np.stack([effect.control(p, u, time, dt, np) - u for p in tried], -1)[:, before:]
+        segments, tried = self.problem.segments, [{n: np.array([v]) for n, v in t.items()} for t in trials]
+        arriving, before = self._arriving()
+        u = arriving[..., at.ctrl]
+        time = segments.time[:, :1] + (np.arange(u.shape[1]) - before) * self._dt
+        change = np.stack([effect.control(p, u, time, self._dt, np) - u for p in tried], -1)[:, before:]
         total = np.concatenate([np.zeros_like(change[:, :1]), np.cumsum(change, 1)], 1)
-        edges = np.rint((segments.time - segments.time[:, :1]) / dt).astype(int)
+        edges = np.rint((segments.time - segments.time[:, :1]) / self._dt).astype(int)
         whole = np.take_along_axis(total, edges[..., None], 1)
         mean = np.diff(whole, axis=1) / np.maximum(np.diff(edges, axis=1), 1)[..., None]
-        b, d = self._unit_response(("ctrl", ctrl), _unit_command(at), COMMAND_STEP)
+        b, d = self._unit_response(("ctrl", at.ctrl), _unit_command(at), COMMAND_STEP)
         return b[..., None] * mean[:, :, None], d[..., None] * mean[:, :, None]
+
+    @property
+    def _dt(self) -> float:
+        return self.problem.timestep or float(self.problem.simulator.model.opt.timestep)
+
+    def _arriving(self) -> tuple[Float[np.ndarray, "S steps nu"], int]:
+        """What arrives at the actuators under the effects that are there, and how many steps come before the start."""
+        problem, segments = self.problem, self.problem.segments
+        values = problem.effect_values(self.point.z[None])
+        there = [
+            (p, {n: np.asarray(v) for n, v in given.items()})
+            for p, given in zip(problem.effects, values, strict=True)
+            if p.effect.uses("control")
+        ]
+        longest = max((p.effect.memory(v) for p, v in there), default=0.0)
+        before, dt = int(np.ceil(longest / self._dt)) + 2, self._dt
+        u = segments.commands(np.arange(segments.count), dt, int(segments.steps(dt).max()) + 1, before)
+        time = segments.time[:, :1] + (np.arange(u.shape[1]) - before) * dt
+        for p, v in there:
+            u[..., p.element.ctrl] = p.effect.control(v, u[..., p.element.ctrl], time, dt, np)
+        return u, before
 
     def forced(self, dof: int, forces: Float[np.ndarray, "S K columns"]) -> tuple[np.ndarray, np.ndarray]:
         """d and e of generalized forces on one degree of freedom, held over each interval."""
         scale = float(self.problem.guess.scale[self.problem.simulator.model.nv + dof])
-        b, d = self._unit_response(("dof", dof), _unit_force(dof), FORCE_STEP * scale)
+        b, d = self._unit_response(("dof", dof), _unit("constant_force", dof), FORCE_STEP * scale)
         return b[..., None] * forces[:, :, None], d[..., None] * forces[:, :, None]
+
+    def rubbed(
+        self, dof: int, sizes: Float[np.ndarray, "S K columns"], typical: Typical
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of dry friction on one degree of freedom, of one size over each interval."""
+        step = FRICTION_STEP * typical.force
+        b, d = self._unit_response(("friction", dof), _unit("coulomb_friction", dof), step)
+        return b[..., None] * sizes[:, :, None], d[..., None] * sizes[:, :, None]
 
     def _unit_response(self, key: tuple[str, int], probe: PlacedEffect, step: float) -> tuple[np.ndarray, np.ndarray]:
         """d and e of one unit of a probe's parameter, by a small step."""
@@ -148,10 +171,31 @@ class Response:
             self._units[key] = d[..., 0] / step, e[..., 0] / step
         return self._units[key]
 
-    def joint_states(self, qpos: int, dof: int) -> JointState:
-        """Position, speed and time at points inside every interval (S, K, points), by cubic Hermite."""
+    def pushed(self, at: Element, forces: Float[np.ndarray, "S samples 3 columns"]) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of forces at a body's centre of mass, between samples the mean of both ends'."""
+        flat = np.moveaxis(forces, -1, 0).reshape(forces.shape[-1], -1, 3)
+        joints = np.stack([self.places.on_joints(at, f) for f in flat], -1).reshape(*self.path.qvel.shape, -1)
+        mean = 0.5 * (joints[:, :-1] + joints[:, 1:])
+        parts = [self.forced(dof, mean[:, :, dof]) for dof in range(mean.shape[2]) if mean[:, :, dof].any()]
+        d, e = (sum(x) for x in zip(*parts, strict=True)) if parts else self.forced(0, mean[:, :, 0])
+        return np.asarray(d), np.asarray(e)
+
+    def body_states(self, at: Element) -> BodyState:
+        """A body's motion at every sample (S * samples)."""
+        return self.places.body_state(at, np.ravel(self.problem.segments.time))
+
+    @cached_property
+    def places(self) -> Places:
+        """Where all bodies are at every sample."""
+        path, samples = self.path, self.path.qpos.shape[1]
+        fields = {n: np.repeat(v, samples, 0) for n, v in self._fields.items() if n != "opt.timestep"}
+        qpos, qvel = (x.reshape(-1, x.shape[-1]) for x in (path.qpos, path.qvel))
+        return places(self.problem.simulator.model, fields, qpos, qvel)
+
+    def joint_states(self, at: Element) -> JointState:
+        """A joint at points inside every interval (S, K, points), by cubic Hermite, and what drives it."""
         time = self.problem.segments.time
-        q, v = self.path.qpos[..., qpos], self.path.qvel[..., dof]
+        q, v = self.path.qpos[..., at.qpos], self.path.qvel[..., at.dof]
         h = np.diff(time, axis=1)[..., None]
         u = (np.arange(NUM_INSIDE) + 0.5) / NUM_INSIDE
         q0, q1, v0, v1 = q[:, :-1, None], q[:, 1:, None], v[:, :-1, None], v[:, 1:, None]
@@ -161,7 +205,21 @@ class Response:
             + u**2 * (3 - 2 * u) * q1
             + u**2 * (u - 1) * h * v1
         )
-        return JointState(inside, v0 + u * (v1 - v0), time[:, :-1, None] + u * h)
+        when = time[:, :-1, None] + u * h
+        return JointState(inside, v0 + u * (v1 - v0), when, self._drive(at, when, u) if at.actuators else None)
+
+    def _drive(self, at: Element, when: Float[np.ndarray, "S K points"], share: Float[np.ndarray, " points"]) -> Drive:
+        model, act = self.problem.simulator.model, self.path.act
+        ctrl, before = self._arriving()
+        step = np.floor((when - self.problem.segments.time[:, :1, None]) / self._dt + 1e-6).astype(int) + before
+        ctrl = ctrl[np.arange(len(ctrl))[:, None, None], step]
+        act = act[:, :-1, None] + share[:, None] * (act[:, 1:, None] - act[:, :-1, None])
+
+        def field(name):
+            own = self._fields.get(name)
+            return getattr(model, name) if own is None else own[:, None, None]
+
+        return drive_of(model, at, field, ctrl, act)
 
     def propagate(self, d: np.ndarray, e: np.ndarray) -> Float[np.ndarray, "S values columns"]:
         """Change of the samples (flat over samples and columns) caused by defects, starts held."""
@@ -174,10 +232,10 @@ class Response:
         return out.reshape(count, -1, d.shape[-1])
 
 
-def _unit_force(dof: int) -> PlacedEffect:
+def _unit(name: str, dof: int) -> PlacedEffect:
     from det2stoc_bayes.mismatch.effects import CATALOGUE
 
-    return PlacedEffect(CATALOGUE["constant_force"], Element("joint", f"dof {dof}", dof=dof, qpos=0), Typical())
+    return PlacedEffect(CATALOGUE[name], Element("joint", f"dof {dof}", dof=dof, qpos=0), Typical())
 
 
 def _unit_command(at: Element) -> PlacedEffect:

@@ -5,7 +5,6 @@ import xarray as xr
 from xarray import DataTree
 
 from det2stoc_bayes.mismatch.finding import variable_name
-from det2stoc_bayes.mismatch.heldout import HeldOut
 from det2stoc_bayes.mismatch.patch_module import parameter_texts
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 from det2stoc_bayes.mismatch.where import Condition
@@ -13,7 +12,7 @@ from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.posterior import named_draws
 from det2stoc_bayes.recording import Recording
 
-__all__ = ["DataTree", "posterior", "rollouts", "screening"]
+__all__ = ["DataTree", "fitted_paths", "posterior", "rollouts", "screening"]
 
 NUM_CHAINS = 4
 
@@ -35,8 +34,8 @@ def _variable(name: str) -> str:
 
 def rollouts(
     fit: Fit,
-    before: HeldOut,
-    after: HeldOut,
+    before: dict[str, np.ndarray],
+    after: dict[str, np.ndarray],
     recordings: tuple[Recording, ...],
     role: str,
     when: list[Condition],
@@ -49,8 +48,8 @@ def rollouts(
         for j, column in enumerate(r.columns):
             if column in columns:  # a held-out recording may have more
                 observed[:, columns.index(column)] = r.values[:, j]
-        seen = slice(0, len(before.rollouts[r.name]))
-        paths = {"before": before.rollouts[r.name], "after": after.rollouts[r.name]}
+        seen = slice(0, len(before[r.name]))
+        paths = {"before": before[r.name], "after": after[r.name]}
         data = {"observed": observed[seen]} | paths
         data |= {f"residual_{k}": (observed[seen] - v) / noise for k, v in paths.items()}
         variables: dict[str, tuple] = {k: (("sample", "channel"), v) for k, v in data.items()}
@@ -60,6 +59,17 @@ def rollouts(
         variables["noise_sd"] = (("channel",), noise)
         coords = {"channel": list(columns), "time": (("sample",), r.time[seen])}
         out[r.name] = xr.Dataset(variables, coords, {"role": role})
+    return out
+
+
+def fitted_paths(fit: Fit) -> dict[str, np.ndarray]:
+    """Predictions (samples, columns) of every fitted recording from the initial states of its segments' fit."""
+    problem, segments = fit.problem, fit.problem.segments
+    predicted = problem.simulator.rollout(problem.request(fit.point.z[None], fit.point.start))
+    out = {r.name: np.full((len(r.time), len(segments.columns)), np.nan) for r in segments.recordings}
+    for s, path in enumerate(predicted):
+        begin, length = segments.first[s], segments.lengths[s]
+        out[segments.recordings[segments.recording[s]].name][begin : begin + length] = path[:length]
     return out
 
 

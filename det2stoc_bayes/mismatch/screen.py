@@ -1,22 +1,19 @@
 """Ranking every effect on every element by the evidence that a first-order change of the prediction earns."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from det2stoc_bayes.engines.base import EffectRows
 from det2stoc_bayes.mismatch.addition import add
+from det2stoc_bayes.mismatch.changes import changes
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
-from det2stoc_bayes.mismatch.response import Response
 from det2stoc_bayes.optimize import Fit
-from det2stoc_bayes.problem import merge_requests
 
 WRONG_SIGN = -0.69  # nats of a candidate whose coefficient has a sign that it cannot have
 MOST_PAIRED, MOST_TRIED = 40, 12  # candidates that are paired, and those of which all trials are
 NUM_OTHERS = 3  # trials of an effect that are kept beside its best
-MAX_COLUMNS = 128  # responses held at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +46,7 @@ def screen(
     trials: dict[PlacedEffect, list[Screened]] = {}
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
-    for placed, trial, columns in responses(fit, new, advance):
+    for placed, trial, columns in changes(fit, new, advance):
         found = _judge(fit, placed, trial, columns)
         if found is not None:
             best = sorted([*trials.get(placed, ()), found], key=lambda s: -s.log_evidence)
@@ -65,52 +62,6 @@ def _forget(trials: dict[PlacedEffect, list[Screened]]) -> None:
         trials[placed] = trials[placed][:1]
     for placed in order[MOST_PAIRED:]:
         trials[placed] = [replace(trials[placed][0], response=None)]
-
-
-def responses(fit: Fit, candidates, advance) -> Iterator[tuple[PlacedEffect, Trial, np.ndarray]]:
-    """Change of the prediction (segments, values, k) by every trial."""
-    response = Response(fit)
-    for placed in candidates:
-        effect, at = placed.effect, placed.element
-        trials = effect.trials(placed.typical)
-        if effect.uses("reading") or effect.uses("sample_time"):
-            changes = _recorded(fit, placed, trials)
-        else:
-            flat = [dict(values) for trial in trials for values in trial.columns]
-            parts = []
-            for begin in range(0, len(flat), MAX_COLUMNS):
-                some = flat[begin : begin + MAX_COLUMNS]
-                if effect.uses("joint_force"):
-                    inside = response.joint_states(at.qpos, at.dof)
-                    force = np.stack(
-                        [
-                            effect.joint_force({n: np.asarray(v) for n, v in t.items()}, inside, np).mean(-1)
-                            for t in some
-                        ],
-                        -1,
-                    )
-                    parts.append(response.propagate(*response.forced(at.dof, force)))
-                elif effect.uses("control") and not effect.uses("memory"):  # of this sample's command alone
-                    parts.append(response.propagate(*response.commanded(at, effect, some)))
-                else:
-                    parts.append(response.propagate(*response.defects([(placed, t) for t in some])))
-            columns = iter(np.moveaxis(np.concatenate(parts, -1), -1, 0))
-            changes = [np.stack([next(columns) for _ in trial.columns], -1) for trial in trials]
-        yield from zip([placed] * len(trials), trials, changes, strict=True)
-        advance(1)
-
-
-def _recorded(fit: Fit, placed: PlacedEffect, trials: Sequence[Trial]) -> list[np.ndarray]:
-    """Columns of an effect on what is recorded: simulated, since the motion stays the same."""
-    problem, count = fit.problem, fit.problem.segments.count
-    request = problem.request(fit.point.z[None], fit.point.start)
-    requests = [request]
-    for trial in trials:
-        for values in trial.columns:
-            requests.append(replace(request, effects=(*request.effects, EffectRows.alike(placed, count, values))))
-    moved = -problem.residuals(problem.simulator.rollout(merge_requests(requests))).reshape(len(requests), count, -1)
-    columns = iter(moved[1:] - moved[0])
-    return [np.stack([next(columns) for _ in trial.columns], -1) for trial in trials]
 
 
 def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray) -> Screened | None:

@@ -8,6 +8,7 @@ from det2stoc_bayes.report import numbers
 RELIABLE = 0.7  # k-hat
 FAILS = 0.01  # p-value of the predictive check
 WAYS = {
+    "laplace": "{draws} draws of the Gaussian at the fit, widened by the misfit that remains",
     "laplace+psis": "{draws} draws of the Gaussian at the fit, weighted by the exact likelihood",
     "adapted": "{draws} draws of an adapted proposal, weighted by the exact likelihood",
     "smc": "{draws} particles moved to the posterior by tempering",

@@ -11,8 +11,8 @@ from simulated import here, pose, recordings
 from det2stoc_bayes.engines.base import EffectRows
 from det2stoc_bayes.engines.magnitudes import Magnitudes
 from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.changes import changes
 from det2stoc_bayes.mismatch.effects import Typical
-from det2stoc_bayes.mismatch.screen import responses
 
 STEPS = 5 * np.arange(41)  # 0.4 s
 
@@ -60,6 +60,7 @@ def test_refinement_starts_where_the_trial_points(fitted, form):
 
 # Largest relative errors where they are not small (measured). Joint forces are means over intervals in which the servo
 # settles (0.12, 0.02), ripples of few cycles (0.05, 0.03); a payload moves far (0.04); a limit has its full size (0.3).
+# Friction's narrow peak is passed within an interval (0.03), torque changes within one (0.01), lift is slight (0.05).
 LOOSE = {
     "QuadraticDamping": 0.2,
     "JointSpring": 0.04,
@@ -68,6 +69,9 @@ LOOSE = {
     "PeriodicForce": 0.1,
     "PayloadMass": 0.08,
     "TorqueSpeedLimit": 0.5,
+    "StribeckFriction": 0.06,
+    "LoadDependentFriction": 0.02,
+    "MagnusLift": 0.1,
 }
 
 
@@ -76,20 +80,19 @@ def test_columns_are_changes_of_whole_simulations(fitted, form):
     """The linear response to small trials, against simulations of them from the same starts."""
     placed = place_form(fitted.problem.simulator.model, form)
     placed = replace(placed, typical=Magnitudes(fitted.problem).of(placed.element))
-    listed = list(responses(fitted, [placed], lambda n: None))
+    listed = list(changes(fitted, [placed], lambda n: None))
     every = [(t, c) for _, t, c in listed]
     small = [(t, c) for t, c in every if t.sd == 100.0] or every  # limits have their full size
     small = small[: max(len(small) // 10, 1)]  # slow ripples: an interval is to them a moment
     worst = 0.0
     for trial, columns in small:
-        for k, values in enumerate(trial.columns):
-            expected = simulated(fitted, placed, values)
-            size = np.linalg.norm(expected)
-            assert np.isfinite(columns).all()
-            if size > 1e-9:
-                worst = max(worst, np.linalg.norm(columns[..., k] - expected) / size)
-            else:  # what the arm's plane does not see
-                assert np.linalg.norm(columns[..., k]) < 1e-9
+        expected = np.stack([simulated(fitted, placed, values) for values in trial.columns], -1)
+        assert np.isfinite(columns).all()
+        off = np.linalg.norm(columns - expected, axis=(0, 1))
+        sizes = np.linalg.norm(expected, axis=(0, 1))
+        seen = sizes > 1e-9
+        assert (off[~seen] < 1e-9).all()  # what the arm's plane does not see
+        worst = max([worst, *(off[seen] / sizes.max())])
     print(f"{form}: {worst:.1e}")
     assert worst < LOOSE.get(form, 0.01)  # measured: 0 to 0.005
 

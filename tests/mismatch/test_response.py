@@ -109,7 +109,7 @@ def test_joint_forces_by_the_state_along_the_way(tmp_path, name, element, values
     problem = problem_of(tmp_path, CARTPOLE)
     fit, effect = here(problem), place(problem, name, element)
     response, at = Response(fit), effect.element
-    states = response.joint_states(at.qpos, at.dof)
+    states = response.joint_states(at)
     force = effect.effect.joint_force({n: np.asarray(v) for n, v in values.items()}, states, np).mean(-1)
     found = linear(problem, response, *response.forced(at.dof, force[..., None]))
     expected = simulated(problem, fit.point.start, [(effect, values)])

@@ -1,5 +1,7 @@
 """Effects between a command and the force that an actuator gives."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from det2stoc_bayes.mismatch.effects.base import COMMAND_UNIT, Effect, EffectParameter, Trial, around, normal, onehot
@@ -201,11 +203,20 @@ class TorqueSpeedLimit(ActuatorEffect):
     def momentary(self, p, fields, s, at, xp):
         """The actuator's force range at its present speed, within the one that it has."""
         limited, ranges = fields["actuator_forcelimited"], fields["actuator_forcerange"]
-        relative = fields["actuator_gear"][..., at.actuators[0], 0] * s.v / p["no_load_speed"]
-        upper = p["stall"] * xp.clip(1 - relative, 0.0, 1.0)
-        lower = -p["stall"] * xp.clip(1 + relative, 0.0, 1.0)
+        lower, upper = self._bounds(p, fields["actuator_gear"][..., at.actuators[0], 0] * s.v, xp)
         place = onehot(limited.shape[-1], at.actuators[0]) > 0
         low = xp.where(limited, xp.maximum(ranges[..., 0], lower[..., None]), lower[..., None])
         high = xp.where(limited, xp.minimum(ranges[..., 1], upper[..., None]), upper[..., None])
         changed = xp.where(place[:, None], xp.stack([low, high], -1), ranges)
         return {"actuator_forcerange": changed, "actuator_forcelimited": limited | place}
+
+    def force_along(self, p, s):
+        """What the limit takes from the joint."""
+        drive = s.driven
+        lower, upper = self._bounds(p, drive.gear[..., 0] * s.v, np)
+        low, high = np.maximum(drive.low, lower[..., None]), np.minimum(drive.high, upper[..., None])
+        return replace(drive, low=low, high=high).torque(s.q, s.v) - drive.torque(s.q, s.v)
+
+    def _bounds(self, p, speed, xp):
+        relative = speed / p["no_load_speed"]
+        return -p["stall"] * xp.clip(1 + relative, 0.0, 1.0), p["stall"] * xp.clip(1 - relative, 0.0, 1.0)

@@ -133,6 +133,10 @@ class Effect:
         value = first.absent + sum(float(c) * step for c, step in zip(coefficients, steps, strict=True))
         return {**trial.columns[0], first.name: float(value) if first.size == 1 else value}
 
+    def force_along(self, p: Mapping[str, Any], s: JointState) -> Array:
+        """What the effect comes to as a force on its joint along a trajectory; screening takes it for the effect."""
+        return self.joint_force(p, s, np)
+
     # --- hooks ------------------------------------------------------------------------------------------------
     def fields(self, p: Mapping[str, Array], fields: Mapping[str, Array], at: Element, xp: Any) -> dict[str, Array]:
         """Changed model fields; each has the simulations' axes first, then the field's own."""
@@ -146,6 +150,10 @@ class Effect:
 
     def joint_force(self, p: Mapping[str, Array], s: JointState, xp: Any) -> Array:
         """Generalized force on the joint."""
+        raise NotImplementedError
+
+    def friction(self, p: Mapping[str, Array], s: JointState, xp: Any) -> Array:
+        """Size of dry friction on the joint, by which `momentary` raises its frictionloss."""
         raise NotImplementedError
 
     def body_force(self, p: Mapping[str, Array], s: BodyState, xp: Any) -> Array:

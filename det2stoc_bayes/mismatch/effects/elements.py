@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 Array = Any  # numpy or jax array
 Kind = Literal["joint", "body", "actuator", "sensor", "world", "contact", "simulator"]
 
@@ -72,6 +74,14 @@ class Drive:
     least: Array
     most: Array
 
+    def torque(self, q: Array, v: Array, xp: Any = np) -> Array:
+        """What the actuators give the joint (...) by MuJoCo's fixed and affine laws, within their limits."""
+        length, speed = self.gear * q[..., None], self.gear * v[..., None]
+        gain = self.gain[..., 0] + self.gain[..., 1] * length + self.gain[..., 2] * speed
+        bias = self.bias[..., 0] + self.bias[..., 1] * length + self.bias[..., 2] * speed
+        force = xp.clip(gain * self.u + bias, self.low, self.high)
+        return xp.clip(xp.sum(self.gear * force, -1), self.least, self.most)
+
 
 @dataclass(frozen=True)
 class JointState:
@@ -81,6 +91,12 @@ class JointState:
     v: Array
     t: Array
     drive: Drive | None = None
+
+    @property
+    def driven(self) -> Drive:
+        """The drive of a joint that has one."""
+        assert self.drive is not None, "no actuator drives this joint"
+        return self.drive
 
 
 @dataclass(frozen=True)

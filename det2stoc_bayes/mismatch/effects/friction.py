@@ -8,7 +8,18 @@ from det2stoc_bayes.mismatch.effects.joint import JointEffect
 FRACTIONS = (0.03, 0.1, 0.3, 0.8)  # of the typical speed, at which friction's peak may end
 
 
-class StribeckFriction(JointEffect):
+class DryFriction(JointEffect):
+    """Friction whose size changes from step to step."""
+
+    writes = ("dof_frictionloss",)
+
+    def momentary(self, p, fields, s, at, xp):
+        """Adds the present size to the frictionloss."""
+        loss = fields["dof_frictionloss"]
+        return {"dof_frictionloss": loss + self.friction(p, s, xp)[..., None] * onehot(loss.shape[-1], at.dof)}
+
+
+class StribeckFriction(DryFriction):
     """Dry friction that is larger near rest (`static`) than in motion (`coulomb`)."""
 
     name, law_text, noun = "stribeck_friction", "-(Fc + (Fs - Fc) exp(-(v/vs)^2)) sign(v)", "Stribeck friction"
@@ -18,7 +29,6 @@ class StribeckFriction(JointEffect):
         EffectParameter("static", ("N", "N m"), positive=True),
         EffectParameter("velocity", ("m/s", "rad/s"), positive=True),
     )
-    writes = ("dof_frictionloss",)
     complexity = 3
 
     def priors(self, typical):
@@ -59,37 +69,24 @@ class StribeckFriction(JointEffect):
         peak = moving + max(float(coefficients[1]), 0.0) * step
         return {"coulomb": moving, "static": peak, "velocity": trial.columns[0]["velocity"]}
 
-    def momentary(self, p, fields, s, at, xp):
-        """Frictionloss of the present speed."""
-        loss = fields["dof_frictionloss"]
-        peak = (p["static"] - p["coulomb"]) * xp.exp(-((s.v / p["velocity"]) ** 2))
-        return {"dof_frictionloss": loss + (p["coulomb"] + peak)[..., None] * onehot(loss.shape[-1], at.dof)}
+    def friction(self, p, s, xp):
+        """Falls from the static size to the moving one."""
+        return p["coulomb"] + (p["static"] - p["coulomb"]) * xp.exp(-((s.v / p["velocity"]) ** 2))
 
 
-class LoadDependentFriction(JointEffect):
+class LoadDependentFriction(DryFriction):
     """Dry friction that grows with the torque that the joint's own actuators transmit."""
 
     name, law_text, noun = "load_dependent_friction", "-mu abs(torque) sign(v)", "Load-dependent friction"
     law = r"-\mu\,|\tau|\operatorname{sign}(v)"
     parameters = (EffectParameter("coefficient", "1", positive=True),)
     needs = frozenset({"driven"})
-    writes = ("dof_frictionloss",)
     complexity = 2
 
     def priors(self, typical):
         """Gears lose some tenths of what they transmit."""
         return {"coefficient": normal(0.2)}
 
-    def momentary(self, p, fields, s, at, xp):
-        """Frictionloss of the present torque."""
-        loss, torque = fields["dof_frictionloss"], xp.abs(transmitted(s.drive, s.q, s.v, xp))
-        return {"dof_frictionloss": loss + (p["coefficient"] * torque)[..., None] * onehot(loss.shape[-1], at.dof)}
-
-
-def transmitted(drive, q, v, xp):
-    """Torque of a joint's actuators (MuJoCo's fixed and affine laws, with their limits)."""
-    length, speed = drive.gear * q[..., None], drive.gear * v[..., None]
-    gain = drive.gain[..., 0] + drive.gain[..., 1] * length + drive.gain[..., 2] * speed
-    bias = drive.bias[..., 0] + drive.bias[..., 1] * length + drive.bias[..., 2] * speed
-    force = xp.clip(gain * drive.u + bias, drive.low, drive.high)
-    return xp.clip(xp.sum(drive.gear * force, -1), drive.least, drive.most)
+    def friction(self, p, s, xp):
+        """Of the present torque."""
+        return p["coefficient"] * xp.abs(s.driven.torque(s.q, s.v, xp))

@@ -1,0 +1,84 @@
+"""What every trial of every candidate changes of the prediction, to first order, by the cheapest way there is."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.engines.base import EffectRows
+from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
+from det2stoc_bayes.mismatch.response import Response
+from det2stoc_bayes.optimize import Fit
+
+MAX_COLUMNS = 128  # held at once
+
+Values = Mapping[str, Any]
+
+
+def changes(
+    fit: Fit, candidates: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda n: None
+) -> Iterator[tuple[PlacedEffect, Trial, Float[np.ndarray, "segments values columns"]]]:
+    """Change of the prediction by every trial, starts held. Forces and commands cost no simulation of their own."""
+    response, readings = Response(fit), _Readings(fit)
+    for placed in candidates:
+        trials = placed.effect.trials(placed.typical)
+        flat = [dict(values) for trial in trials for values in trial.columns]
+        parts = [
+            _columns(response, readings, placed, flat[begin : begin + MAX_COLUMNS])
+            for begin in range(0, len(flat), MAX_COLUMNS)
+        ]
+        columns = iter(np.moveaxis(np.concatenate(parts, -1), -1, 0))
+        for trial in trials:
+            yield placed, trial, np.stack([next(columns) for _ in trial.columns], -1)
+        advance(1)
+
+
+def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tried: Sequence[Values]) -> np.ndarray:
+    effect, at = placed.effect, placed.element
+    if effect.uses("reading") or effect.uses("sample_time"):
+        return np.stack([readings.change(placed, values) for values in tried], -1)
+    given = [{n: np.asarray(v, float) for n, v in values.items()} for values in tried]
+    if effect.uses("joint_force") or effect.uses("force_along"):
+        inside = response.joint_states(at)
+        force = np.stack([effect.force_along(p, inside).mean(-1) for p in given], -1)
+        return response.propagate(*response.forced(at.dof, force))
+    if effect.uses("friction"):
+        inside = response.joint_states(at)
+        size = np.stack([effect.friction(p, inside, np).mean(-1) for p in given], -1)
+        return response.propagate(*response.rubbed(at.dof, size, placed.typical))
+    if effect.uses("body_force"):
+        state, shape = response.body_states(at), response.path.qpos.shape[:2]
+        force = np.stack([effect.body_force(p, state, np).reshape(*shape, 3) for p in given], -1)
+        return response.propagate(*response.pushed(at, force))
+    if effect.uses("control") and not effect.uses("memory"):  # of this sample's command alone
+        return response.propagate(*response.commanded(at, effect, tried))
+    return response.propagate(*response.defects([(placed, values) for values in tried]))
+
+
+class _Readings:
+    """Changes of what is recorded while the motion stays the same."""
+
+    def __init__(self, fit: Fit):
+        self.fit, self._plain = fit, None
+
+    def change(self, placed: PlacedEffect, values: Values) -> Float[np.ndarray, "segments values"]:
+        """An effect's own, by reading the same motion again."""
+        if self._plain is None:
+            self._plain = self._predicted()
+        segments, at = self.fit.problem.segments, placed.element
+        if placed.effect.uses("sample_time"):
+            moved = self._predicted(EffectRows.alike(placed, segments.count, values))
+        else:
+            moved, j = self._plain.copy(), segments.columns.index(at.column)
+            given = {n: np.full(segments.count, v) for n, v in values.items()}
+            moved[..., j] = placed.effect.reading(given, segments.time, moved[..., j], np)
+        problem = self.fit.problem
+        both = problem.residuals(np.concatenate([self._plain, moved]))
+        return both[: segments.count] - both[segments.count :]
+
+    def _predicted(self, *added: EffectRows) -> Float[np.ndarray, "segments samples columns"]:
+        problem, point = self.fit.problem, self.fit.point
+        request = problem.request(point.z[None], point.start)
+        return problem.simulator.rollout(replace(request, effects=(*request.effects, *added)))
