@@ -6,13 +6,14 @@ A summary of the run is printed as Markdown.
 
 import argparse
 import json
+import multiprocessing
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -116,12 +117,17 @@ def finished(seed: str, commit: str, choice: Choice) -> dict[tuple[str, int], di
     return found
 
 
+def _workers(jobs: int) -> Executor:
+    # Cases are made in Python for the most part: threads of one process would wait for each other.
+    return ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) if jobs > 1 else ThreadPoolExecutor(1)
+
+
 def run(seed: str, counts: Mapping[str, int], commit: str, jobs: int, choice: Choice) -> list[Row]:
     """All cases that are not in the log yet; gives every case's row, in order."""
     done = finished(seed, commit, choice)
     wanted = [(kind, index) for kind in KINDS for index in range(counts[kind])]
     LOG.parent.mkdir(exist_ok=True)
-    with ThreadPoolExecutor(jobs) as pool:
+    with _workers(jobs) as pool:
         waiting = {key: pool.submit(one, seed, *key, commit, choice) for key in wanted if key not in done}
         try:
             for number, (key, future) in enumerate(waiting.items(), 1):

@@ -28,6 +28,15 @@ FARTHEST = 6.0  # prior sds of psi from its median: beyond it a bounded prior's 
 
 
 @dataclass(frozen=True, eq=False)
+class Finer:
+    """An integration that converges, and what it adds to predictions by the believed one, found at one point."""
+
+    timestep: float
+    integrator: str
+    shift: Float[np.ndarray, "segments samples columns"]
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """Simulator, samples, noise and the effects that are added to the believed model."""
 
@@ -38,6 +47,7 @@ class Problem:
     effects: tuple[PlacedEffect, ...] = ()
     timestep: float | None = None
     integrator: str | None = None
+    finer: Finer | None = None
     spreads: tuple[float, ...] | None = ()  # sigma of each psi that varies by recording; None: unknowns, too
 
     @cached_property
@@ -82,8 +92,12 @@ class Problem:
         return replace(self, effects=tuple(effects))
 
     def on(self, segments: Segments) -> "Problem":
-        """The same hypothesis on other samples."""
-        return replace(self, segments=segments, guess=guess_starts(self.simulator.model, segments))
+        """The same hypothesis on other samples, where a finer integration is used in full."""
+        options = {"timestep": self.timestep, "integrator": self.integrator}
+        if self.finer is not None:
+            options = {"timestep": self.finer.timestep, "integrator": self.finer.integrator}
+        guess = guess_starts(self.simulator.model, segments)
+        return replace(self, segments=segments, guess=guess, finer=None, **options)
 
     def carry(self, z: Float[np.ndarray, " size"], to: "Problem") -> Float[np.ndarray, " new_size"]:
         """These unknowns in the layout of the same hypothesis on other recordings or with other spreads."""
@@ -220,7 +234,10 @@ class Problem:
 
     def residuals(self, predicted: Float[np.ndarray, "rows samples columns"]) -> Float[np.ndarray, "rows values"]:
         """Recorded minus predicted, for variant-major rows."""
-        observed = np.tile(self.segments.values, (len(predicted) // self.segments.count, 1, 1))
+        variants = len(predicted) // self.segments.count
+        observed = np.tile(self.segments.values, (variants, 1, 1))
+        if self.finer is not None:
+            predicted = predicted + np.tile(self.finer.shift, (variants, 1, 1))
         return residuals(predicted, observed, self.quaternions)
 
 

@@ -115,12 +115,13 @@ class Simulation:
                 time=state[4],
                 ctrl=u,
             )
-            after, sensors = self._step(model, data, parameters)
+            middle = data.qvel + 0.5 * (state[1] - state[5]) if self._lead else data.qvel
+            after, sensors = self._step(model, data, parameters, middle)
             # Time is the recorded clock's, whatever a step of it lasts.
-            state = (after.qpos, after.qvel, after.act, after.qacc_warmstart, state[4] + self.dt)
+            state = (after.qpos, after.qvel, after.act, after.qacc_warmstart, state[4] + self.dt, state[1])
             return state, (after.qpos, after.qvel, after.act, sensors)
 
-        first = (qpos, qvel, act, jnp.zeros_like(qvel), stamps[0])
+        first = (qpos, qvel, act, jnp.zeros_like(qvel), stamps[0], qvel)
         _, (*states, sensors) = jax.lax.scan(advance, first, ctrl[num_before:])
         # Sensor values describe the state before the step; the last step is there for them alone.
         states = [jnp.concatenate([a[None], b[:-1]]) for a, b in zip(start, states, strict=True)]
@@ -151,26 +152,29 @@ class Simulation:
             qvel = qvel.at[v : v + 3].add(jnp.where(jnp.all(jnp.abs(spin) < SLOW_SPIN), SLOW_SPIN, 0.0))
         return qvel
 
-    def _step(self, m, d, parameters):
-        """As mj_step; effects' forces are held over the step, those that are damping in MuJoCo linearized."""
-        m = self._now(m, d, parameters)
+    def _step(self, m, d, parameters, middle):
+        """As mj_step; effects' forces are held over the step, those that are damping in MuJoCo linearized.
+
+        `middle`: speeds where the forces are taken, as the last step's change foretells them.
+        """
+        m = self._now(m, d, parameters, middle)
         d = mjx.fwd_position(m, d)
         d = mjx.sensor_pos(m, d) if self._sensors else d
-        m, d = self._joint_forces(m, d, parameters)
+        m, d = self._joint_forces(m, d, parameters, middle)
         d = mjx.fwd_velocity(m, d)
         d = mjx.sensor_vel(m, d) if self._sensors else d
-        d = self._body_forces(m, d, parameters)
+        d = self._body_forces(m, d, parameters, middle)
         d = mjx.fwd_acceleration(m, mjx.fwd_actuation(m, d))
         d = mjx.solve(m, d) if d._impl.efc_J.size else d.replace(qacc=d.qacc_smooth)
         d = mjx.sensor_acc(m, d) if self._sensors else d
         return _integrate(m, d), d.sensordata
 
-    def _now(self, m, d, parameters):
+    def _now(self, m, d, parameters, middle):
         """The model with the fields that effects rewrite at every step."""
         for i in self._momentary:
             effect, at = self.effects[i].effect, self.effects[i].element
             inside = {name: _get(m, name) for name in (*effect.writes, *effect.reads)}
-            changed = effect.momentary(parameters[i], inside, self._joint_state(m, d, at), at, jnp)
+            changed = effect.momentary(parameters[i], inside, self._joint_state(m, d, at, middle), at, jnp)
             changed.pop("actuator_forcelimited", None)  # compiled in
             if "dof_frictionloss" in changed:
                 there = m._impl.dof_hasfrictionloss
@@ -178,22 +182,23 @@ class Simulation:
             m = m.tree_replace(changed)
         return m
 
-    def _joint_state(self, m, d, at):
+    def _joint_state(self, m, d, at, middle):
         time = d.time + self._lead
         if at.dof < 0:
             return JointState(0.0 * time, 0.0 * time, time)
         given = None
         if at.actuators:
             given = drive.drive_of(self._kinds, at, lambda name: _get(m, name), d.ctrl, d.act, jnp)
-        speed = d.qvel[at.dof]
-        return JointState(d.qpos[at.qpos] + self._lead * speed, speed, time, given)
+        way = self._lead * 0.5 * (d.qvel + middle)[at.dof]
+        return JointState(d.qpos[at.qpos] + way, middle[at.dof], time, given)
 
-    def _joint_forces(self, m, d, parameters):
+    def _joint_forces(self, m, d, parameters, middle):
         force, damping = d.qfrc_applied, m.dof_damping
         for i in self._forced:
             effect, at = self.effects[i].effect, self.effects[i].element
-            v = d.qvel[at.dof]
-            q = d.qpos[at.qpos] + self._lead * v
+            # Where MuJoCo has it as damping, it follows the speed within a step by itself.
+            v = d.qvel[at.dof] if effect.changes else middle[at.dof]
+            q = d.qpos[at.qpos] + self._lead * 0.5 * (d.qvel + middle)[at.dof]
 
             def law(v, effect=effect, p=parameters[i], q=q):
                 return effect.joint_force(p, JointState(q, v, d.time + self._lead), jnp)
@@ -205,10 +210,11 @@ class Simulation:
             force = force.at[at.dof].add(value)
         return m.replace(dof_damping=damping), d.replace(qfrc_applied=force)
 
-    def _body_forces(self, m, d, parameters):
+    def _body_forces(self, m, d, parameters, middle):
         wrench, now = d.xfrc_applied, d
         if self._pushed and self._lead:
-            now = d.replace(qpos=_integrate_pos(self._kinds.jnt_type, d.qpos, d.qvel, self._lead))
+            way = 0.5 * (d.qvel + middle)
+            now = d.replace(qpos=_integrate_pos(self._kinds.jnt_type, d.qpos, way, self._lead), qvel=middle)
             now = mjx.com_vel(m, mjx.com_pos(m, mjx.kinematics(m, now)))
         for i in self._pushed:
             body = self.effects[i].element.body

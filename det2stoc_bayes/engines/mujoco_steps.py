@@ -31,10 +31,11 @@ class Stepper:
         self.momentary = [e for e in stepped if e.placed.effect.writes]
         self.pushed = [e for e in stepped if e.placed.effect.uses("body_force")]
         self.forced = [e for e in stepped if e.placed.effect.uses("joint_force")]
-        # A force is held over a step. RK4 weighs the whole step, so its position is taken at the middle (a force along
-        # an arm would turn it otherwise); the Euler integrators take every position force at the beginning.
+        # A force is held over a step. RK4 weighs the whole step, so its state is taken at the middle (a force along an
+        # arm would turn it otherwise, drag would come late); the Euler integrators take every force at the beginning.
         self.lead = 0.5 * self.dt if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
         self.qpos, self.qvel = batch.bind("qpos"), batch.bind("qvel")
+        self.past = np.array(self.qvel)  # speeds one step ago
         self.force, self.wrench = batch.bind("qfrc_applied"), batch.bind("xfrc_applied")
         self.ctrl = batch.bind("ctrl") if model.nu else np.zeros((len(self.qpos), 0))
         self.act = batch.bind("act") if model.na else np.zeros((len(self.qpos), 0))
@@ -62,10 +63,12 @@ class Stepper:
         stage = _VEL if self.pushed else _NONE
         # The stages of the new state would overwrite its sensors, those of the middle are not the ones to step from.
         apart = bool(self.pushed) and ("sensordata" in live or self.lead > 0)
+        self.past[:] = self.qvel
         if self.pushed:
             self._place()
         for k in range(num_steps):
             self.prepare(commands[:, k])
+            self.past[:] = self.qvel
             batch.step(stage=_NONE if apart else stage)
             self.time += self.dt
             for name, array in live.items():
@@ -100,10 +103,16 @@ class Stepper:
         if not self.lead:
             self.batch.forward(stage=_VEL)
             return
-        qpos = np.array(self.qpos)
-        self.qpos[:] = integrate_positions(self.model, qpos, self.lead * self.qvel)
+        qpos, qvel, middle = np.array(self.qpos), np.array(self.qvel), self._speeds()
+        self.qpos[:] = integrate_positions(self.model, qpos, self.lead * 0.5 * (qvel + middle))
+        self.qvel[:] = middle
         self.batch.forward(stage=_VEL)
-        self.qpos[:] = qpos
+        self.qpos[:], self.qvel[:] = qpos, qvel
+
+    def _speeds(self, dof: int | slice = slice(None)) -> np.ndarray:
+        """Speeds where the step's forces are taken, as the last step's change foretells them."""
+        now = self.qvel[:, dof]
+        return now + 0.5 * (now - self.past[:, dof]) if self.lead else now
 
     def _joint_state(self, e: EffectRows) -> JointState:
         at, rows, time = e.placed.element, e.rows, self.time[e.rows] + self.lead
@@ -116,8 +125,9 @@ class Stepper:
                 return self.fields[name][rows]
 
             given = drive.drive_of(self.model, at, field, self.ctrl[rows], self.act[rows])
-        speed = self.qvel[rows, at.dof]
-        return JointState(self.qpos[rows, at.qpos] + self.lead * speed, speed, time, given)
+        speed = self._speeds(at.dof)[rows]
+        way = self.lead * 0.5 * (self.qvel[rows, at.dof] + speed)
+        return JointState(self.qpos[rows, at.qpos] + way, speed, time, given)
 
     def _body_state(self, e: EffectRows) -> BodyState:
         rows, sizes = e.rows, self.model.geom_size[None] if self.sizes is None else self.sizes[e.rows]

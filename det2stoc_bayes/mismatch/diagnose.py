@@ -16,7 +16,7 @@ from det2stoc_bayes.mismatch.credence import weigh
 from det2stoc_bayes.mismatch.explain import explain
 from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
-from det2stoc_bayes.mismatch.numerics import check_numerics
+from det2stoc_bayes.mismatch.numerics import check_numerics, corrected
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.where import conditions
 from det2stoc_bayes.optimize import Fit
@@ -88,6 +88,8 @@ def diagnose(
     numerics = check_numerics(before, float(simulator.model.opt.timestep), len(pool))
     believed = before if numerics is None else numerics.fit
     found = explain(believed, pool, progress)
+    if found.after.problem.effects:
+        found = replace(found, after=corrected(found.after, float(simulator.model.opt.timestep)))
     progress("scoring held-out recordings", 0, 1)
     judged = judge(found.before if numerics is None else _believed(found.before, before), found, numerics)
     places = [list(judged.after.problem.effects).index(n.placed) for n in judged.named]
@@ -115,7 +117,8 @@ def _patch(judged: Judgement, composer: Composer) -> Patch:
     psi = dict(zip((p.name for p in study.parameters), means, strict=True))
     values = shown.effect_values(judged.shown.point.z[None])
     effects = [(e, {k: v[0] for k, v in p.items()}) for e, p in zip(shown.effects, values, strict=True)]
-    return make_patch(study, psi, effects, timestep=shown.timestep, integrator=shown.integrator)
+    step = shown if shown.finer is None else shown.finer
+    return make_patch(study, psi, effects, timestep=step.timestep, integrator=step.integrator)
 
 
 def _arrays(judged: Judgement, composer: Composer) -> result.DataTree:

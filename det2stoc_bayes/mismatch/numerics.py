@@ -3,10 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
-from det2stoc_bayes.linearization import Point
-from det2stoc_bayes.mismatch.evidence import log_evidence
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
 from det2stoc_bayes.optimize import Fit, fit_many
+from det2stoc_bayes.problem import Finer
 
 FINE = 4  # times finer, by RK4: the reference
 RATIOS = (1, 2, 4)  # timesteps tried for "what converges", coarsest first
@@ -25,41 +26,61 @@ class Numerics:
 
 def check_numerics(fit: Fit, timestep: float, num_candidates: int) -> Numerics | None:
     """The fit at a converged timestep, or None where integration error cannot matter or does not explain anything."""
-    fine = timestep / FINE
-    if _change(fit, fine, "RK4") < NEGLIGIBLE:
+    found = _converged(fit, timestep)
+    if found is None:
         return None
-    better = _refit(fit, fine, "RK4")
+    step, integrator, _ = found
+    better = fit_many([(_at(fit, step, integrator), fit.point)], tolerance=0.3)[0]
     if better is None:
         return None
     gain = log_evidence(better) - log_evidence(fit)
-    if gain < np.log(max(num_candidates, 1)):
+    return Numerics(step, integrator, gain, better) if gain > np.log(max(num_candidates, 1)) else None
+
+
+def corrected(fit: Fit, timestep: float) -> Fit:
+    """The fit without the believed timestep's error, where recordings are explained so well that it matters.
+
+    The error is taken from one finer simulation and held, so that all that follows costs what it did.
+    """
+    if fit.problem.timestep is not None or fit.noise_inflation >= MODEL_ERROR:
+        return fit
+    found = _converged(fit, timestep)
+    if found is None:
+        return fit
+    problem = replace(fit.problem, finer=Finer(*found))
+    better = fit_many([(problem, fit.point)], tolerance=0.3)[0]
+    return fit if better is None or log_evidence(better) <= log_evidence(fit) else better
+
+
+def _converged(fit: Fit, timestep: float) -> tuple[float, str, Float[np.ndarray, "segments samples columns"]] | None:
+    """The coarsest step by RK4 that predicts as the finest, and what it adds; None where it hardly differs."""
+    here, there = _predicted(fit), _predicted(fit, timestep / FINE, "RK4")
+    if _change(fit, here, there) < NEGLIGIBLE:
         return None
-    for ratio in RATIOS[:-1]:
-        if _change(better, timestep / ratio, "RK4") < NEGLIGIBLE:
-            coarser = _refit(better, timestep / ratio, "RK4")
-            if coarser is not None:
-                return Numerics(timestep / ratio, "RK4", log_evidence(coarser) - log_evidence(fit), coarser)
-    return Numerics(fine, "RK4", gain, better)
+    for ratio in RATIOS:
+        coarser = there if ratio == FINE else _predicted(fit, timestep / ratio, "RK4")
+        if ratio == FINE or _change(fit, coarser, there) < NEGLIGIBLE:
+            return timestep / ratio, "RK4", coarser - here
+    return None
 
 
 def _at(fit: Fit, timestep: float, integrator: str):
     return replace(fit.problem, timestep=timestep, integrator=integrator)
 
 
-def _change(fit: Fit, timestep: float, integrator: str) -> float:
-    """Whitened squared change of the prediction that neither psi nor the starts can absorb."""
-    lin, simulator = fit.linear, fit.problem.simulator
-    z, start = fit.point.z[None], fit.point.start
-    here = fit.problem.residuals(simulator.rollout(fit.problem.request(z, start)))
-    there = fit.problem.residuals(simulator.rollout(_at(fit, timestep, integrator).request(z, start)))
-    if not np.isfinite(there).all():
+def _predicted(fit: Fit, timestep: float | None = None, integrator: str | None = None) -> np.ndarray:
+    problem = fit.problem if timestep is None else replace(fit.problem, timestep=timestep, integrator=integrator)
+    return problem.simulator.rollout(problem.request(fit.point.z[None], fit.point.start))
+
+
+def _change(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
+    """Whitened squared change of the prediction that neither psi nor the starts can absorb; 0 where one diverges."""
+    if not (np.isfinite(here).all() and np.isfinite(there).all()):
         return 0.0
-    x = lin.latent.project(lin.latent.stack((here - there)[..., None]))[..., 0]
+    lin = fit.linear
+    difference = fit.problem.residuals(here) - fit.problem.residuals(there)
+    x = lin.latent.project(lin.latent.stack(difference[..., None]))[..., 0]
     j = lin.latent.project(lin.columns)
     slope = np.einsum("snk,sn->k", j, x)
     gram = np.einsum("snk,snl->kl", j, j) + np.eye(fit.problem.size)
     return float((x**2).sum() - (slope @ np.linalg.solve(gram, slope) if fit.problem.size else 0.0))
-
-
-def _refit(fit: Fit, timestep: float, integrator: str) -> Fit | None:
-    return fit_many([(_at(fit, timestep, integrator), Point(fit.point.z, fit.point.start))], tolerance=0.3)[0]

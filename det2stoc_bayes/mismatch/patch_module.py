@@ -4,7 +4,7 @@ import ast
 import inspect
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -18,25 +18,26 @@ Values = Mapping[str, float | int | str | Sequence[float] | np.ndarray]  # of an
 CLOCK = "opt.timestep"  # an effect that changes it makes the recorded clock another than the simulation's
 # Hook of an effect -> its table in effects.py, and the functions of the runtime that serve it.
 _COLUMNS = ("measure", "at_time", "arrays", "place_of")
+_MIDDLE = ("lead_of", "remember_speed", "middle_speed", "follow")
 _SERVED: dict[str, tuple[str, tuple[str, ...]]] = {
-    "joint_force": ("JOINT_FORCES", ("add_joint_forces", "joint_state", "lead_of")),
-    "body_force": ("BODY_FORCES", ("add_body_forces", "copy_state", "lead_of")),
+    "joint_force": ("JOINT_FORCES", ("add_joint_forces", "joint_state", *_MIDDLE)),
+    "body_force": ("BODY_FORCES", ("add_body_forces", "copy_state", *_MIDDLE)),
     "clock": ("CLOCKS", ("keep_clock",)),
     "momentary": (
         "MOMENTARY",
-        ("rewrite_fields", "restore_fields", "set_field", "joint_and_actuators", "joint_state", "lead_of", "drive_of"),
+        ("rewrite_fields", "restore_fields", "set_field", "joint_and_actuators", "joint_state", *_MIDDLE, "drive_of"),
     ),
     "control": ("CONTROLS", ("rewrite_controls", "follow")),
     "sample_time": ("SAMPLE_TIMES", ("remember_state", "follow")),
     "reading": ("READINGS", ()),
 }
 _STEPS = {
-    "clock": "keep_clock",
-    "control": "rewrite_controls",
-    "momentary": "rewrite_fields",
-    "joint_force": "add_joint_forces",
-    "body_force": "add_body_forces",
-    "sample_time": "remember_state",
+    "clock": ("keep_clock",),
+    "control": ("rewrite_controls",),
+    "momentary": ("remember_speed", "rewrite_fields"),
+    "joint_force": ("remember_speed", "add_joint_forces"),
+    "body_force": ("remember_speed", "add_body_forces"),
+    "sample_time": ("remember_state",),
 }
 _ALWAYS_TABLES = ("sample_time", "reading", "clock")
 _ALWAYS = ("Memory", "memory_of", "copy_state", *_COLUMNS)
@@ -93,7 +94,7 @@ def module_text(effects: Sequence[tuple[PlacedEffect, Values]], fields: Sequence
         "BELIEVED = WeakKeyDictionary()  # model -> fields before any step" if "momentary" in hooks else "",
         *_runtime_sources(hooks, bool(fields)),
         _reset("momentary" in hooks, bool(fields)),
-        _control([_STEPS[h] for h in _STEPS if h in hooks]),
+        _control(dict.fromkeys(step for h, steps in _STEPS.items() if h in hooks for step in steps)),
     ]
     text = re.sub(r"\n{4,}", "\n\n\n", "\n\n\n".join(p.strip("\n") for p in parts if p)) + "\n"
     compile(text, "effects.py", "exec")
@@ -241,6 +242,6 @@ def _reset(momentary: bool, fields: bool) -> str:
     return inspect.getsource(runtime.reset) + "".join(f"    {step}(model)\n" for step in steps)
 
 
-def _control(steps: Sequence[str]) -> str:
+def _control(steps: Iterable[str]) -> str:
     doc = '    """Before each step, once ctrl is commanded and the applied forces are zeroed."""'
     return "\n".join(["def control(model, data):", doc, *(f"    {step}(model, data)" for step in steps)])

@@ -24,7 +24,8 @@ class Memory:
     """What is remembered of one data object's past."""
 
     def __init__(self, model):
-        self.model, self.scratch, self.commands, self.states, self.time = model, mujoco.MjData(model), [], [], None
+        self.model, self.scratch, self.time = model, mujoco.MjData(model), None
+        self.commands, self.states, self.speeds = [], [], []
 
 
 MEMORIES = WeakKeyDictionary()
@@ -52,14 +53,31 @@ def lead_of(model):
     return 0.5 * model.opt.timestep if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
 
 
+def remember_speed(model, data):
+    """Keeps the speeds of this step and of the one before it."""
+    speeds = memory_of(model, data).speeds
+    if follow(speeds, data.time, model.opt.timestep * np.prod(CLOCKS)):
+        speeds.clear()
+    speeds.append((data.time, data.qvel.copy()))
+    del speeds[:-2]
+
+
+def middle_speed(model, data):
+    """Speeds where the step's forces are taken, as the last step's change foretells them."""
+    speeds = memory_of(model, data).speeds
+    ahead = 0.5 if lead_of(model) and len(speeds) > 1 else 0.0
+    return data.qvel + ahead * (data.qvel - speeds[0][1])
+
+
 def joint_state(model, data, joint):
     """A joint's position, speed and time."""
     lead = lead_of(model)
     time = np.float64(data.time + lead)
     if joint < 0:
         return SimpleNamespace(q=0.0, v=0.0, t=time)
-    v = data.qvel[model.jnt_dofadr[joint]]
-    return SimpleNamespace(q=data.qpos[model.jnt_qposadr[joint]] + lead * v, v=v, t=time)
+    v, dof = middle_speed(model, data), model.jnt_dofadr[joint]
+    way = lead * 0.5 * (data.qvel[dof] + v[dof])
+    return SimpleNamespace(q=data.qpos[model.jnt_qposadr[joint]] + way, v=v[dof], t=time)
 
 
 def rewrite_fields(model, data):
@@ -142,8 +160,9 @@ def add_body_forces(model, data):
     """Adds to xfrc_applied, which acts at the centre of mass; its velocity is computed beside `data`."""
     scratch = memory_of(model, data).scratch
     copy_state(model, data, scratch)
-    lead = lead_of(model)
-    mujoco.mj_integratePos(model, scratch.qpos, data.qvel, lead)
+    lead, middle = lead_of(model), middle_speed(model, data)
+    mujoco.mj_integratePos(model, scratch.qpos, 0.5 * (data.qvel + middle), lead)
+    scratch.qvel[:] = middle
     mujoco.mj_kinematics(model, scratch)
     mujoco.mj_comPos(model, scratch)
     mujoco.mj_comVel(model, scratch)

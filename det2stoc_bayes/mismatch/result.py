@@ -66,6 +66,8 @@ def fitted_paths(fit: Fit) -> dict[str, np.ndarray]:
     """Predictions (samples, columns) of every fitted recording from the initial states of its segments' fit."""
     problem, segments = fit.problem, fit.problem.segments
     predicted = problem.simulator.rollout(problem.request(fit.point.z[None], fit.point.start))
+    if problem.finer is not None:
+        predicted = predicted + problem.finer.shift
     out = {r.name: np.full((len(r.time), len(segments.columns)), np.nan) for r in segments.recordings}
     for s, path in enumerate(predicted):
         begin, length = segments.first[s], segments.lengths[s]

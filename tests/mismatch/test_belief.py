@@ -11,7 +11,7 @@ from simulated import PENDULUM, fit, noise_table, place, pose, recordings, sprin
 from det2stoc_bayes.density import Density, log_prior
 from det2stoc_bayes.inference import nuts
 from det2stoc_bayes.linearization import start_point
-from det2stoc_bayes.mismatch.belief import believe
+from det2stoc_bayes.mismatch.belief import believe, roughly
 from det2stoc_bayes.mismatch.coordinates import Affine, Population
 from det2stoc_bayes.mismatch.credence import compared
 from det2stoc_bayes.mismatch.effects import Typical
@@ -74,6 +74,19 @@ def test_model_error_widens_the_target(gaussian):
     gram = found.linear.gram()[0].sum(0)
     exact = [np.sqrt(np.diag(np.linalg.inv(p * gram + np.eye(2)))) for p in (1.0, 0.25)]
     np.testing.assert_allclose(sd[1] / sd[0], exact[1] / exact[0], rtol=0.1)
+
+
+def test_a_gaussian_s_draws_stay_within_the_walls(tmp_path):
+    """Friction that the recordings hardly show is not negative; what has no wall keeps the Gaussian's moments."""
+    problem, effect = coulomb(tmp_path / "study")
+    found = fit(problem.with_effects([effect]))
+    drawn = roughly(found, 1e-3, 0)
+    assert drawn.method == "laplace" and drawn.terms is None and len(drawn.z) == 1000
+    assert (drawn.z[:, 2] >= 0).all() and drawn.z[:, 2].min() < 0.2
+    power = found.linear.gram()[0].sum(0) * 1e-3 / found.noise_scale + np.eye(3)
+    np.testing.assert_allclose(drawn.z[:, 0].std(), np.sqrt(np.linalg.inv(power)[0, 0]), rtol=0.1)
+    beyond = found.point.z - [0, 0, 10]
+    assert drawn.density.log_likelihood(beyond[None]) == -np.inf
 
 
 def test_same_seed_same_draws(gaussian):

@@ -1,12 +1,14 @@
 """A timestep that is too coarse is told from one that is not, and from missing physics."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import make_study, model_xml
 from simulated import PENDULUM, fit, noise_table, pose, recordings
 
 from det2stoc_bayes.mismatch import numerics
-from det2stoc_bayes.mismatch.numerics import check_numerics
+from det2stoc_bayes.mismatch.numerics import check_numerics, corrected
 
 COARSE = '<option timestep="0.02" integrator="Euler" gravity="0 0 -9.81"/>'
 FINE = '<option timestep="0.001" integrator="RK4" gravity="0 0 -9.81"/>'
@@ -59,3 +61,24 @@ def test_a_change_that_gains_no_evidence_is_not_blamed(tmp_path, monkeypatch):
     monkeypatch.setattr(numerics, "log_evidence", lambda fit: 2.0 * (fit is not base))
     assert check_numerics(base, 0.02, 20) is None
     assert check_numerics(base, 0.02, 1) is not None
+
+
+SLIGHTLY_COARSE = '<option timestep="0.002" integrator="Euler" gravity="0 0 -9.81"/>'
+
+
+def test_a_slight_error_of_integration_does_not_bias(tmp_path):
+    """As a fit at the finer step finds, at the believed step's price; other recordings are simulated finely."""
+    base = believed(tmp_path, SLIGHTLY_COARSE)
+    better = corrected(base, 0.002)
+    assert better.chi2 < base.chi2 - 10
+    fine = fit(replace(base.problem, timestep=better.problem.finer.timestep, integrator="RK4"))
+    sd = np.sqrt(fine.covariance[0, 0])
+    off = [abs(f.point.z[0] - fine.point.z[0]) / sd for f in (base, better)]
+    assert off[1] < 0.05 < 0.5 < off[0]
+    other = better.problem.on(better.problem.segments)
+    assert (other.integrator, other.finer) == ("RK4", None)
+
+
+def test_a_fine_step_or_a_large_misfit_is_not_corrected(tmp_path):
+    good, bad = believed(tmp_path / "good", GOOD), believed(tmp_path / "bad", COARSE)
+    assert corrected(good, 0.005) is good and corrected(bad, 0.02) is bad

@@ -191,3 +191,29 @@ def test_padding_has_no_say(tmp_path):
     assert (response.a[1, -6:] == 0).all()
     d, e = response.defects([(place(problem, "constant_force", "rail"), {"force": 1.0})])
     assert (d[1, -6:] == 0).all() and (e[1, -6:] == 0).all() and (d[0] != 0).any()
+
+
+@pytest.mark.parametrize("body", ["cart", "pole"])
+def test_forces_on_a_body_by_what_they_come_to_on_its_joints(tmp_path, body):
+    """What screening does with drag, against single intervals under it."""
+    problem = problem_of(tmp_path, CARTPOLE)
+    fit, effect = here(problem), place(problem, "quadratic_drag", body)
+    response, values = Response(fit), {"coefficient": 1e-4}
+    state = response.body_states(effect.element)
+    force = effect.effect.body_force({"coefficient": np.asarray(1e-4)}, state, np)
+    found = linear(
+        problem, response, *response.pushed(effect.element, force.reshape(*response.path.qpos.shape[:2], 3, 1))
+    )
+    expected = simulated(problem, fit.point.start, [(effect, values)])
+    assert error(found, expected, problem) < 0.02
+
+
+def test_dry_friction_of_any_size_along_the_way(tmp_path):
+    """Friction that falls with speed, against whole simulations of it; it slips where the joint moves."""
+    problem = problem_of(tmp_path, CARTPOLE)
+    fit, effect = here(problem), place(problem, "stribeck_friction", "pivot")
+    response, values = Response(fit), {"coulomb": 1e-5, "static": 3e-5, "velocity": 0.5}
+    given = {n: np.asarray(v) for n, v in values.items()}
+    size = effect.effect.friction(given, response.joint_states(effect.element), np).mean(-1)
+    found = linear(problem, response, *response.rubbed(effect.element.dof, size[..., None], effect.typical))
+    assert error(found, simulated(problem, fit.point.start, [(effect, values)]), problem) < 0.05

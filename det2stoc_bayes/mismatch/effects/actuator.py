@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from det2stoc_bayes.mismatch.effects.base import COMMAND_UNIT, Effect, EffectParameter, Trial, around, normal, onehot
+from det2stoc_bayes.mismatch.effects.elements import transmitted
 from det2stoc_bayes.priors import Prior
 
 SETTLED = 23.0  # time constants after which a filter has forgotten all but 1e-10
@@ -203,7 +204,7 @@ class TorqueSpeedLimit(ActuatorEffect):
     def momentary(self, p, fields, s, at, xp):
         """The actuator's force range at its present speed, within the one that it has."""
         limited, ranges = fields["actuator_forcelimited"], fields["actuator_forcerange"]
-        lower, upper = self._bounds(p, fields["actuator_gear"][..., at.actuators[0], 0] * s.v, xp)
+        lower, upper = range_at(p, fields["actuator_gear"][..., at.actuators[0], 0] * s.v, xp)
         place = onehot(limited.shape[-1], at.actuators[0]) > 0
         low = xp.where(limited, xp.maximum(ranges[..., 0], lower[..., None]), lower[..., None])
         high = xp.where(limited, xp.minimum(ranges[..., 1], upper[..., None]), upper[..., None])
@@ -212,11 +213,14 @@ class TorqueSpeedLimit(ActuatorEffect):
 
     def force_along(self, p, s):
         """What the limit takes from the joint."""
-        drive = s.driven
-        lower, upper = self._bounds(p, drive.gear[..., 0] * s.v, np)
-        low, high = np.maximum(drive.low, lower[..., None]), np.minimum(drive.high, upper[..., None])
-        return replace(drive, low=low, high=high).torque(s.q, s.v) - drive.torque(s.q, s.v)
+        assert s.drive is not None, "an actuator drives this joint"
+        lower, upper = range_at(p, s.drive.gear[..., 0] * s.v, np)
+        low, high = np.maximum(s.drive.low, lower[..., None]), np.minimum(s.drive.high, upper[..., None])
+        limited = replace(s.drive, low=low, high=high)
+        return transmitted(limited, s.q, s.v, np) - transmitted(s.drive, s.q, s.v, np)
 
-    def _bounds(self, p, speed, xp):
-        relative = speed / p["no_load_speed"]
-        return -p["stall"] * xp.clip(1 + relative, 0.0, 1.0), p["stall"] * xp.clip(1 - relative, 0.0, 1.0)
+
+def range_at(p, speed, xp):
+    """The least and the largest force that an actuator with a torque-speed limit gives at a speed."""
+    relative = speed / p["no_load_speed"]
+    return -p["stall"] * xp.clip(1 + relative, 0.0, 1.0), p["stall"] * xp.clip(1 - relative, 0.0, 1.0)

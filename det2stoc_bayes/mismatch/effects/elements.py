@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-
 Array = Any  # numpy or jax array
 Kind = Literal["joint", "body", "actuator", "sensor", "world", "contact", "simulator"]
 
@@ -74,14 +72,6 @@ class Drive:
     least: Array
     most: Array
 
-    def torque(self, q: Array, v: Array, xp: Any = np) -> Array:
-        """What the actuators give the joint (...) by MuJoCo's fixed and affine laws, within their limits."""
-        length, speed = self.gear * q[..., None], self.gear * v[..., None]
-        gain = self.gain[..., 0] + self.gain[..., 1] * length + self.gain[..., 2] * speed
-        bias = self.bias[..., 0] + self.bias[..., 1] * length + self.bias[..., 2] * speed
-        force = xp.clip(gain * self.u + bias, self.low, self.high)
-        return xp.clip(xp.sum(self.gear * force, -1), self.least, self.most)
-
 
 @dataclass(frozen=True)
 class JointState:
@@ -91,12 +81,6 @@ class JointState:
     v: Array
     t: Array
     drive: Drive | None = None
-
-    @property
-    def driven(self) -> Drive:
-        """The drive of a joint that has one."""
-        assert self.drive is not None, "no actuator drives this joint"
-        return self.drive
 
 
 @dataclass(frozen=True)
@@ -111,3 +95,12 @@ class BodyState:
     spin: Array = 0.0
     shapes: tuple[int, ...] = ()
     sizes: Array = 0.0
+
+
+def transmitted(drive, q, v, xp):
+    """Torque of a joint's actuators (MuJoCo's fixed and affine laws, with their limits)."""
+    length, speed = drive.gear * q[..., None], drive.gear * v[..., None]
+    gain = drive.gain[..., 0] + drive.gain[..., 1] * length + drive.gain[..., 2] * speed
+    bias = drive.bias[..., 0] + drive.bias[..., 1] * length + drive.bias[..., 2] * speed
+    force = xp.clip(gain * drive.u + bias, drive.low, drive.high)
+    return xp.clip(xp.sum(drive.gear * force, -1), drive.least, drive.most)

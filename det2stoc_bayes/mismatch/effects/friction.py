@@ -3,6 +3,7 @@
 import numpy as np
 
 from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, around, normal, onehot
+from det2stoc_bayes.mismatch.effects.elements import transmitted
 from det2stoc_bayes.mismatch.effects.joint import JointEffect
 
 FRACTIONS = (0.03, 0.1, 0.3, 0.8)  # of the typical speed, at which friction's peak may end
@@ -89,4 +90,4 @@ class LoadDependentFriction(DryFriction):
 
     def friction(self, p, s, xp):
         """Of the present torque."""
-        return p["coefficient"] * xp.abs(s.driven.torque(s.q, s.v, xp))
+        return p["coefficient"] * xp.abs(transmitted(s.drive, s.q, s.v, xp))
