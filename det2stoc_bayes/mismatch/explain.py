@@ -70,15 +70,16 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
             slot = replace(first, ranked=_rivals(own, first.ranked))
             return Explanation(before, grown, (slot,), count, effective_share(grown))
     if len(grown.problem.effects) == 1:
-        pool = _promising(first, grown.problem.effects[0])
+        pool = _promising(first, grown.problem.effects[0]) or pool
     grown, slots = _judged(grown, lean, pool, progress)
     return Explanation(bare, grown, slots, count, effective_share(grown))
 
 
 def _promising(slot: Slot, own: PlacedEffect) -> list[PlacedEffect]:
-    """Candidates that explained much of what one effect explains: others need no second look at a longer horizon."""
-    least = PROMISING * slot.screened[0].log_evidence
-    return [s.placed for s in slot.screened if s.log_evidence > least or s.placed == own]
+    """Candidates that need a second look at a longer horizon; empty where the effect itself did not promise much."""
+    least = PROMISING * max((s.log_evidence for s in slot.screened), default=0.0)
+    found = [s.placed for s in slot.screened if s.log_evidence > least]
+    return found if own in found else []
 
 
 def _judged(
