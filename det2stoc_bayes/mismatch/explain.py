@@ -70,7 +70,8 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
             slot = replace(first, ranked=_rivals(own, first.ranked))
             return Explanation(before, grown, (slot,), count, effective_share(grown))
     if len(grown.problem.effects) == 1:
-        pool = _promising(first, grown.problem.effects[0]) or pool
+        own = grown.problem.effects[0]
+        pool, lean = _promising(first, own) or pool, {own: bare}
     grown, slots = _judged(grown, lean, pool, progress)
     return Explanation(bare, grown, slots, count, effective_share(grown))
 

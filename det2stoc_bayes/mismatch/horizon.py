@@ -44,7 +44,9 @@ def extend(fit: Fit) -> Fit:
     whole = fit.problem.on(cut(recordings, None, fit.problem.segments.columns))
     if fit.problem.segments.count == whole.segments.count:
         return fit
-    longer = climb(fit.problem, fit.point.z)
+    longer = fit_many([(whole, start_point(whole, fit.point.z))], tolerance=0.5)[0]
+    if longer is None or relative_error(longer) > LARGEST_ERROR:
+        longer = climb(fit.problem, fit.point.z)
     return fit if longer is None or longer.problem.segments.count >= fit.problem.segments.count else longer
 
 
