@@ -37,7 +37,7 @@ def refitted_without(
 def unseen(fit: Fit, tolerance: float) -> float:
     """Whitened squared misfit of recordings that were not fitted: the held-out ones, or halves left out in turn."""
     holdout = fit.problem.simulator.study.holdout
-    return sum(misfit(fit, fit.point.z, r) for r in holdout) if holdout else crossed(fit, tolerance)
+    return misfit(fit, fit.point.z, holdout) if holdout else crossed(fit, tolerance)
 
 
 def crossed(fit: Fit, tolerance: float) -> float:
@@ -46,5 +46,5 @@ def crossed(fit: Fit, tolerance: float) -> float:
     for k in range(FOLDS):
         left = recordings[k::FOLDS]
         z = refitted_without(fit, {r.name for r in left}, tolerance=tolerance, max_iterations=3)
-        total += sum(misfit(fit, z, r) for r in left)
+        total += misfit(fit, z, left)
     return total

@@ -9,7 +9,7 @@ from det2stoc_bayes.linearization import Linearization
 from det2stoc_bayes.optimize import Fit, fit_starts
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.recording import Recording
-from det2stoc_bayes.segments import cut
+from det2stoc_bayes.segments import Segments, cut
 
 WARM_UP = 0.1  # of a stretch: the samples from which its initial state is estimated
 LEAST_WARM_UP = 10  # samples
@@ -47,67 +47,100 @@ def horizon_samples(fit: Fit) -> int | None:
 
 def evaluate(fit: Fit, z_by_recording: dict[str, np.ndarray], recordings: tuple[Recording, ...]) -> HeldOut:
     """Scores of recordings under the unknowns given for each of them."""
-    scores = [_one(fit, z_by_recording[r.name], r) for r in recordings]
+    alike: dict[bytes, list[Recording]] = {}
+    for r in recordings:
+        alike.setdefault(z_by_recording[r.name].tobytes(), []).append(r)
+    scores: dict[str, _Score] = {}
+    for group in alike.values():
+        scores |= _scores(fit, z_by_recording[group[0].name], tuple(group))
     names = tuple(r.name for r in recordings)
-    density, chi2, values, error, count, paths = zip(*scores, strict=True)
+    listed = [scores[name] for name in names]
     return HeldOut(
         names,
-        np.array(density),
-        np.array(chi2),
-        np.array(values),
-        np.array(error),
-        np.array(count),
-        dict(zip(names, paths, strict=True)),
+        np.array([s.log_density for s in listed]),
+        np.array([s.chi2 for s in listed]),
+        np.array([s.num_values for s in listed]),
+        np.array([s.squared_error for s in listed]),
+        np.array([s.num_errors for s in listed]),
+        {name: s.rollout for name, s in zip(names, listed, strict=True)},
     )
 
 
-def misfit(fit: Fit, z: np.ndarray, recording: Recording) -> float:
-    """Whitened squared error of one recording, initial states integrated out."""
-    problem, z = _posed(fit, z, recording)
-    lin = fit_starts(problem, z)
-    return DIVERGED * float(problem.segments.observed.sum()) if lin is None else own_integrated(lin)[0]
+@dataclass(frozen=True, eq=False)
+class _Score:
+    """One recording's part of a HeldOut."""
+
+    log_density: float
+    chi2: float
+    num_values: float
+    squared_error: Float[np.ndarray, " columns"]
+    num_errors: Float[np.ndarray, " columns"]
+    rollout: Float[np.ndarray, "samples columns"]
 
 
-def _posed(fit: Fit, z: np.ndarray, recording: Recording) -> tuple[Problem, np.ndarray]:
-    """The same hypothesis on one recording, at the fit's horizon."""
-    problem = fit.problem.on(cut((recording,), horizon_samples(fit), fit.problem.segments.columns))
+def misfit(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> float:
+    """Whitened squared error of recordings, initial states integrated out."""
+    problem, posed = _posed(fit, z, recordings)
+    lin = fit_starts(problem, posed)
+    if lin is None and len(recordings) > 1:
+        return sum(misfit(fit, z, (r,)) for r in recordings)
+    return DIVERGED * float(problem.segments.observed.sum()) if lin is None else float(_integrated(lin)[0].sum())
+
+
+def _posed(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> tuple[Problem, np.ndarray]:
+    """The same hypothesis on other recordings, at the fit's horizon."""
+    problem = fit.problem.on(cut(recordings, horizon_samples(fit), fit.problem.segments.columns))
     return problem, fit.problem.carry(z, problem)
 
 
-def _one(fit: Fit, z: np.ndarray, recording: Recording):
-    """Log density, chi2 and its count, squared rollout errors and their counts, rollout of one recording."""
-    problem, z = _posed(fit, z, recording)
-    segments, lin = problem.segments, fit_starts(problem, z)
-    width = len(segments.columns)
+def _scores(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> dict[str, _Score]:
+    """Recordings with the same unknowns are simulated together, unless one of them diverges."""
+    problem, posed = _posed(fit, z, recordings)
+    segments, lin = problem.segments, fit_starts(problem, posed)
+    if lin is None and len(recordings) > 1:
+        return {name: s for r in recordings for name, s in _scores(fit, z, (r,)).items()}
     if lin is None:
-        nothing, values = np.full((len(recording.time), width), np.nan), float(segments.observed.sum())
-        chi2 = DIVERGED * values
-        return -0.5 * chi2, chi2, values, np.full(width, np.inf), np.ones(width), nothing
-    chi2, normalizer = own_integrated(lin)
-    predicted = _rollout(problem, z)
+        return {r.name: _diverged(segments, r) for r in recordings}
+    chi2, normalizer = _integrated(lin)
+    predicted = _rollout(problem, posed)
     error = problem.residuals(predicted).reshape(segments.values.shape)
     counted = segments.observed.copy()
     for s in range(segments.count):
         counted[s, : _warm(int(segments.lengths[s]))] = False
-    error = np.where(counted, error, 0.0)
-    path = np.concatenate([p[:n] for p, n in zip(predicted, segments.lengths, strict=True)])
-    return (
-        normalizer - 0.5 * chi2,
-        chi2 / problem.measurement.mean_square,
-        float(lin.degrees_of_freedom),
-        (error**2).sum((0, 1)),
-        counted.sum((0, 1)).astype(float),
-        path,
-    )
+    error, out = np.where(counted, error, 0.0), {}
+    for k, r in enumerate(recordings):
+        mine = np.flatnonzero(segments.recording == k)
+        values = segments.observed[mine].sum() - len(mine) * lin.latent.prior_sd.shape[1]
+        out[r.name] = _Score(
+            float(normalizer[k] - 0.5 * chi2[k]),
+            float(chi2[k] / problem.measurement.mean_square),
+            float(max(values, 1)),
+            (error[mine] ** 2).sum((0, 1)),
+            counted[mine].sum((0, 1)).astype(float),
+            np.concatenate([predicted[s, : segments.lengths[s]] for s in mine]),
+        )
+    return out
 
 
-def own_integrated(lin: Linearization) -> tuple[float, float]:
-    """chi2 and log normalizer with starts and values of psi by recording integrated out."""
-    gram, _, square = (x.sum(0) for x in lin.gram())
-    own = lin.problem.unknowns.owned
-    chi2 = float(square) + float((lin.point.z[own] ** 2).sum())
-    log_det = np.linalg.slogdet(gram[np.ix_(own, own)] + np.eye(len(own)))[1] if len(own) else 0.0
-    return chi2, lin.latent.log_normalizer - 0.5 * float(log_det)
+def _diverged(segments: Segments, recording: Recording) -> _Score:
+    width, values = len(segments.columns), float(segments.observed.sum())
+    nothing = np.full((len(recording.time), width), np.nan)
+    chi2 = DIVERGED * values
+    return _Score(-0.5 * chi2, chi2, values, np.full(width, np.inf), np.ones(width), nothing)
+
+
+def _integrated(lin: Linearization) -> tuple[Float[np.ndarray, " recordings"], Float[np.ndarray, " recordings"]]:
+    """chi2 and log normalizer of each recording, with starts and values of psi by recording integrated out."""
+    gram, _, square = lin.gram()
+    owner, own = lin.problem.segments.recording, lin.problem.unknowns.own
+    chi2, normalizer = [], []
+    for k in range(len(lin.problem.segments.recordings)):
+        mine, held = owner == k, np.array([rows[k] for rows in own], int)
+        inner = gram[mine].sum(0)[np.ix_(held, held)] + np.eye(len(held))
+        log_det = np.linalg.slogdet(inner)[1] if len(held) else 0.0
+        chi2.append(square[mine].sum() + (lin.point.z[held] ** 2).sum())
+        normalizer.append(lin.latent.log_normalizers[mine].sum() - 0.5 * log_det)
+    return np.array(chi2), np.array(normalizer)
 
 
 def _warm(length: int) -> int:
