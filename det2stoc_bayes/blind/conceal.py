@@ -26,6 +26,7 @@ from det2stoc_bayes.blind.sizing import (
 )
 from det2stoc_bayes.blind.systems import SYSTEMS
 from det2stoc_bayes.blind.variants import VARIANTS, Setting, choose, possible
+from det2stoc_bayes.engines.quiet import QUIET
 
 ATTEMPTS = 6  # draws of a system, psi and experiments
 DRAWS = 4  # of effects for each of them
@@ -48,6 +49,7 @@ class ConcealedCase:
         return Path(folder)
 
 
+@QUIET  # sizes are tried that a simulation does not survive
 def make_case(
     seed: int,
     *,

@@ -1,7 +1,6 @@
 """The C engine: many simulations at once on all cores through `mujoco.batch`."""
 
 import copy
-import threading
 from dataclasses import astuple
 
 import mujoco
@@ -10,6 +9,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import Counter, Request, Trajectory
 from det2stoc_bayes.engines.mujoco_chunk import Chunk, num_before
+from det2stoc_bayes.engines.quiet import QUIET
 
 MAX_SIMULATIONS = 4096
 MAX_PERSISTENT = 512  # simulations that keep an MjData each (some 100 KB and more)
@@ -42,7 +42,7 @@ class MujocoC:
         parts = []
         for begin in range(0, len(steps), size):
             rows = slice(begin, min(begin + size, len(steps)))
-            with _QUIET:
+            with QUIET:
                 parts.append(Chunk(model, request, rows, int(steps[rows].max()), self._threads).run(states))
             self.counter.simulations += rows.stop - rows.start
             self.counter.steps += (rows.stop - rows.start) * int(steps[rows].max())
@@ -69,33 +69,3 @@ def _without_autoreset(model: mujoco.MjModel) -> mujoco.MjModel:
     model = copy.copy(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return model
-
-
-class _Quiet:
-    """Keeps MuJoCo's warnings of simulations that diverge off the console and out of its log file."""
-
-    def __init__(self):
-        self._lock, self._depth, self._before = threading.Lock(), 0, (True, True)
-
-    def __enter__(self):
-        with self._lock:
-            if self._depth == 0:
-                config = mujoco.MjLogConfig.get()
-                self._before = config.logto_console, config.logto_file
-                _log_to(False, False)
-            self._depth += 1
-
-    def __exit__(self, *_):
-        with self._lock:
-            self._depth -= 1
-            if self._depth == 0:
-                _log_to(*self._before)
-
-
-_QUIET = _Quiet()
-
-
-def _log_to(console: bool, file: bool) -> None:
-    config = mujoco.MjLogConfig.get()
-    config.logto_console, config.logto_file = console, file
-    config.set()

@@ -56,10 +56,8 @@ def lead_of(model):
 def remember_speed(model, data):
     """Keeps the speeds of this step and of the one before it."""
     speeds = memory_of(model, data).speeds
-    if follow(speeds, data.time, model.opt.timestep * np.prod(CLOCKS)):
-        speeds.clear()
-    speeds.append((data.time, data.qvel.copy()))
-    del speeds[:-2]
+    missed = follow(speeds, data.time, model.opt.timestep * np.prod(CLOCKS))
+    speeds[:] = [*([] if missed else speeds[-1:]), (data.time, data.qvel.copy())]
 
 
 def middle_speed(model, data):
