@@ -1,7 +1,6 @@
 """One simulation in MJX: a pure function of start, fields, effect parameters, commands and sample times."""
 
 import contextlib
-import copy
 import io
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,6 +14,7 @@ from jaxtyping import Array, Float
 from det2stoc_bayes.engines import drive
 from det2stoc_bayes.engines.layout import column_address
 from det2stoc_bayes.engines.mjx_constants import ancestor_matrix, derived_constants
+from det2stoc_bayes.engines.mjx_model import braking, with_limits, with_tiny
 from det2stoc_bayes.engines.mjx_support import check_effect, check_fields, check_supported
 from det2stoc_bayes.mismatch.effects.base import BodyState, JointState, PlacedEffect
 
@@ -23,8 +23,6 @@ with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missin
     from mujoco.mjx._src.forward import _integrate_pos  # it has no public name
 
 SLOW_SPIN = 3e-8  # rad/s; MJX takes less than 1e-8 for no rotation at all, with no derivatives either
-FAR = 1e30  # a limit that is none
-TINY = 1e-12  # keeps a term in the program that MJX would leave out of it where the model has 0
 NEEDED_NONZERO = (
     "dof_frictionloss",
     "tendon_frictionloss",
@@ -63,7 +61,7 @@ class Simulation:
         check_fields(model, fields)
         for placed in effects:
             check_effect(model, placed)
-        model = _with_limits(_with_tiny(model, nonzero), effects)
+        model = with_limits(with_tiny(model, nonzero), effects)
         check_supported(model)
         self.dt, self.columns, self.effects = float(model.opt.timestep), tuple(columns), tuple(effects)
         self.addresses = [column_address(model, c) for c in columns]
@@ -142,7 +140,7 @@ class Simulation:
             ("tendon_frictionloss", self._model._impl.tendon_hasfrictionloss),
         ):
             if name in changed:  # a row that the program has brakes like a damper where its friction is 0
-                changed[name] = _braking(there, changed[name])
+                changed[name] = braking(there, changed[name])
         model = self._model.tree_replace(changed)
         return derived_constants(model, self._data, self._ancestors) if self._rederive else model
 
@@ -178,7 +176,7 @@ class Simulation:
             changed.pop("actuator_forcelimited", None)  # compiled in
             if "dof_frictionloss" in changed:
                 there = m._impl.dof_hasfrictionloss
-                changed["dof_frictionloss"] = _braking(there, changed["dof_frictionloss"])
+                changed["dof_frictionloss"] = braking(there, changed["dof_frictionloss"])
             m = m.tree_replace(changed)
         return m
 
@@ -247,37 +245,6 @@ class Simulation:
 def in_fields(placed: PlacedEffect) -> bool:
     """Whether the effect enters MJX through model fields."""
     return bool(placed.effect.changes) and placed.effect.in_mjx_fields
-
-
-def _with_tiny(model: mujoco.MjModel, nonzero: frozenset[tuple[str, int]]) -> mujoco.MjModel:
-    model = copy.copy(model)
-    for name, index in nonzero:
-        holder, leaf = (model.opt, name[4:]) if name.startswith("opt.") else (model, name)
-        value = np.array(getattr(holder, leaf), float)
-        flat = value.reshape(-1)
-        flat[index] = flat[index] or TINY
-        if value.ndim:
-            getattr(holder, leaf)[:] = value
-        else:
-            setattr(holder, leaf, float(value))
-    model.flg_gravcomp = bool(model.body_gravcomp.any())
-    return model
-
-
-def _with_limits(model: mujoco.MjModel, effects: Sequence[PlacedEffect]) -> mujoco.MjModel:
-    """Actuators whose force range effects rewrite have one, without end where the model has none."""
-    model = copy.copy(model)
-    for e in effects:
-        if "actuator_forcerange" in e.effect.writes:
-            for a in e.element.actuators:
-                if not model.actuator_forcelimited[a]:
-                    model.actuator_forcelimited[a], model.actuator_forcerange[a] = True, [-FAR, FAR]
-    return model
-
-
-def _braking(there, loss):
-    """Friction where the program has it; a row that it has brakes like a damper where friction is 0."""
-    return jnp.where(there, jnp.maximum(loss, 0.0) + TINY, loss)
 
 
 def _integrate(m, d):
