@@ -65,13 +65,13 @@ class Density:
 
     def log_likelihood_by_segment(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points segments"]:
         """One term a segment; -inf where its simulation diverged, and where a positive parameter is not."""
-        z, beyond = self._walled(z)
+        z, beyond = self.walled(z)
         out = np.empty((len(z), self.problem.segments.count))
         for rows in self.chunks(len(z)):
             out[rows] = self.terms(self.projected(z[rows]))
         return np.where(beyond[:, None], -np.inf, out)
 
-    def _walled(
+    def walled(
         self, z: Float[np.ndarray, "points size"]
     ) -> tuple[Float[np.ndarray, "points size"], Bool[np.ndarray, " points"]]:
         """Points moved to where positive parameters of effects are 0 at least, and which of them had to be."""
@@ -131,7 +131,7 @@ class Density:
 
         Along posterior axes; where psi varies by recording, along the unknowns, all recordings' own ones at once.
         """
-        directions, (z, beyond) = self._directions, self._walled(z)
+        directions, (z, beyond) = self._directions, self.walled(z)
         terms, gradients = np.empty((len(z), self.problem.segments.count)), np.empty(z.shape)
         variants = 1 + 2 * len(directions)
         steps = np.concatenate([np.zeros((1, self.size)), directions, -directions])

@@ -72,8 +72,10 @@ class Expansion:
         exact values samples exactly.
         """
         density, size = self.density, self.density.size
+        z, beyond = density.walled(z)
         projected = density.projected(z)
         terms = density.by_recording(density.terms(projected))
+        terms[beyond] = -np.inf
         r = np.nan_to_num(projected, nan=0.0).reshape(-1, len(z))
         u = np.linalg.solve(self.scale, (z - self.center).T)
         bent = (r.T @ self.curvature).reshape(len(z), size, size) @ u.T[..., None]

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from det2stoc_bayes.engines.base import Start
-from det2stoc_bayes.linearization import Linearization, Point, linearize, simulate, start_point, tangent
+from det2stoc_bayes.linearization import Linearization, Point, linearize, simulate, tangent
 from det2stoc_bayes.problem import FARTHEST, Problem
 
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
@@ -158,34 +158,6 @@ def _tried(linear: Sequence[Linearization], points: Sequence[Point]) -> list[Lin
     requests = [lin.problem.request(p.z[None], p.start) for lin, p in zip(linear, points, strict=True)]
     predicted = simulate([(lin.problem, lin.point) for lin in linear], requests)
     return [lin.about(p, one) for lin, p, one in zip(linear, points, predicted, strict=True)]
-
-
-def fit_starts(problem: Problem, z: Float[np.ndarray, " size"], *, num_iterations: int = 4) -> Linearization | None:
-    """The most probable initial states, and values of psi by recording, under the other unknowns as they are.
-
-    None where the simulation diverges.
-    """
-    point = start_point(problem, z)
-    lin = linearize([(problem, point)], unknowns="own")[0]
-    for _ in range(num_iterations):
-        if lin is None:
-            return None
-        after = linearize([(problem, _moved(lin, _own_step(lin), 1.0))], unknowns="own")[0]
-        if after is None or _height(after, 1.0) >= _height(lin, 1.0) - 1e-3:
-            return lin
-        lin = after
-    return lin
-
-
-def _own_step(lin: Linearization) -> "_Step":
-    """Newton's step in the values of psi by recording alone."""
-    own = lin.problem.unknowns.owned
-    step = np.zeros(lin.problem.size)
-    if len(own):
-        gram, slope, _ = (x.sum(0) for x in lin.gram())
-        precision = gram[np.ix_(own, own)] + np.eye(len(own))
-        step[own] = np.clip(np.linalg.solve(precision, slope[own] - lin.point.z[own]), -LARGEST_STEP, LARGEST_STEP)
-    return _Step(step, 0.0, 1.0)
 
 
 def _height(lin: Linearization, s2: float) -> float:

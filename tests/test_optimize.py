@@ -10,8 +10,9 @@ from simulated import PENDULUM, SPRING, dense_evidence, fit, noise_table, place,
 from det2stoc_bayes import optimize
 from det2stoc_bayes.linearization import linearize, start_point
 from det2stoc_bayes.mismatch.effects import Typical
-from det2stoc_bayes.optimize import fit_many, fit_starts
+from det2stoc_bayes.optimize import fit_many
 from det2stoc_bayes.segments import cut
+from det2stoc_bayes.start_fit import fit_starts
 
 NUM_REPLICATIONS = 60
 SMALL = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)

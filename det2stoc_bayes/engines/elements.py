@@ -47,7 +47,8 @@ def actuator_elements(model: mujoco.MjModel) -> list[Element]:
             found.append(Element("actuator", name, ctrl=ctrl, actuators=(a,)))
             continue
         unit = _command_unit(model, a, int(model.jnt_type[joint]) == HINGE)
-        here = {"ctrl": ctrl, "actuators": (a,), "unit": unit, "traits": frozenset({"driven"})}
+        traits = frozenset({"driven", "plain"} if _in_closed_form(model, a) else {"driven"})
+        here = {"ctrl": ctrl, "actuators": (a,), "unit": unit, "traits": traits}
         found.append(_on_joint(model, joint, "actuator", name, **here))
     return found
 

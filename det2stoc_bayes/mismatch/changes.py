@@ -40,7 +40,7 @@ def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tr
     if effect.uses("reading") or effect.uses("sample_time"):
         return np.stack([readings.change(placed, values) for values in tried], -1)
     given = [{n: np.asarray(v, float) for n, v in values.items()} for values in tried]
-    if effect.uses("joint_force") or effect.uses("force_along"):
+    if effect.uses("joint_force") or (effect.uses("force_along") and "plain" in at.traits):
         inside = response.joint_states(at)
         force = np.stack([effect.force_along(p, inside).mean(-1) for p in given], -1)
         return response.propagate(*response.forced(at.dof, force))

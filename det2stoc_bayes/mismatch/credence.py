@@ -86,7 +86,7 @@ def weigh(
         after=beliefs["after"],
         predictive=check(judged.shown, seed),
         white_before=whiteness(judged.before).p_value,
-        leave_one_out=loo if k_before else None,
+        leave_one_out=loo if k_before or k_after else None,
         stacking=_stacking(judged, held_before, held_after, rivals),
         exact=tuple(compared),
     )

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.linearization import Point
-from det2stoc_bayes.mismatch.heldout import misfit
+from det2stoc_bayes.mismatch.heldout import foretold
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.segments import from_pieces
 
@@ -35,16 +35,24 @@ def refitted_without(
 
 @lru_cache(maxsize=16)
 def unseen(fit: Fit, tolerance: float) -> float:
-    """Whitened squared misfit of recordings that were not fitted: the held-out ones, or halves left out in turn."""
+    """Whitened squared error of rollouts of recordings that were not fitted: held-out ones, or halves left out in turn.
+
+    Initial states come from the samples before: fitted to all samples they would take up what the model lacks.
+    """
     holdout = fit.problem.simulator.study.holdout
-    return misfit(fit, fit.point.z, holdout) if holdout else crossed(fit, tolerance)
+    return foretold(fit, fit.point.z, holdout) if holdout else crossed(fit, tolerance)
+
+
+def others_exist(fit: Fit) -> bool:
+    """Whether there are recordings that were not fitted, or enough to leave some out."""
+    return bool(fit.problem.simulator.study.holdout) or len(fit.problem.segments.recordings) >= FOLDS
 
 
 def crossed(fit: Fit, tolerance: float) -> float:
-    """Whitened squared misfit of every recording under the unknowns fitted to other ones, in FOLDS folds."""
+    """Whitened squared error of rollouts of every recording under unknowns fitted to other ones, in FOLDS folds."""
     recordings, total = fit.problem.segments.recordings, 0.0
     for k in range(FOLDS):
         left = recordings[k::FOLDS]
         z = refitted_without(fit, {r.name for r in left}, tolerance=tolerance, max_iterations=3)
-        total += misfit(fit, z, left)
+        total += foretold(fit, z, left)
     return total

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.crossed import FOLDS, unseen
+from det2stoc_bayes.mismatch.crossed import others_exist, unseen
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_told
-from det2stoc_bayes.mismatch.heldout import CHANCE, NEGLIGIBLE, held_out, share_explained
+from det2stoc_bayes.mismatch.heldout import CHANCE, NEGLIGIBLE
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.race import (
     PROMISING,
@@ -57,7 +57,7 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         pool = [c for c in pool if c not in useless]
         first = look_again(first, pool, progress)
         grown, again = _grow(first, pool, threshold(count), progress)
-        if unseen(kept, tolerance(kept)) <= unseen(grown, tolerance(grown)):
+        if others_exist(kept) and _untold(kept) <= _untold(grown):
             grown = kept
             break
         lean = again
@@ -136,15 +136,14 @@ def _better(slot: Slot, needed: float, believed: Fit) -> Fit | None:
     contenders = [*both, *alone[:NUM_CROSSED]]
     if not contenders:
         return None
-    others = base.problem.simulator.study.holdout or len(base.problem.segments.recordings) >= FOLDS
-    if not others or min(f.noise_inflation for f in contenders) < MODEL_ERROR:
+    if not others_exist(base) or min(f.noise_inflation for f in contenders) < MODEL_ERROR:
         for f in both:
             if _earns(f, [single[e] for e in f.problem.effects[-2:] if e in single] + alone[:1], base, needed):
                 return f
         return next(iter(alone), None)
-    price = NEGLIGIBLE * unseen(believed, tolerance(believed))
+    price = NEGLIGIBLE * _untold(believed)
     first = len(base.problem.effects)
-    scores = [unseen(f, tolerance(f)) + price * (len(f.problem.effects) - first) for f in (base, *contenders)]
+    scores = [_untold(f) + price * (len(f.problem.effects) - first) for f in (base, *contenders)]
     best = int(np.argmin(scores))
     return contenders[best - 1] if best else None
 
@@ -159,29 +158,31 @@ def _enough(fit: Fit, believed: Fit) -> bool:
 def _without_useless(
     before: Fit, grown: Fit, lean: dict[PlacedEffect, Fit]
 ) -> tuple[Fit, dict[PlacedEffect, Fit], set[PlacedEffect]]:
-    """Drops, one after the other, effects without which held-out recordings are told as well; and says which.
+    """Drops, one after the other, effects without which other recordings are told as well; and says which.
 
     None where the misfit is within the noise.
     """
     useless: set[PlacedEffect] = set()
-    if not grown.problem.effects or grown.noise_inflation < MODEL_ERROR:
+    if not grown.problem.effects or grown.noise_inflation < MODEL_ERROR or not others_exist(grown):
         return grown, lean, useless
     bare = _bare(before, grown)
-    believed = held_out(bare)
+    believed = _untold(bare)
     while effects := grown.problem.effects:
-        one = len(effects) == 1
+        one, whole = len(effects) == 1, _untold(grown)
         rest = {e: bare if one else lean.get(e) or without(grown, i) for i, e in enumerate(effects)}
-        whole = held_out(grown)
-        told = {
-            e: 1.0 if f is grown else share_explained(believed, believed if f is bare else held_out(f), whole)
-            for e, f in rest.items()  # a fit that cannot do without the effect is the same fit
-        }
+        # A fit that cannot do without the effect is the same fit.
+        told = {e: 1.0 if f is grown else (_untold(f) - whole) / believed for e, f in rest.items()}
         worst = min(effects, key=lambda e: told[e])
         if told[worst] >= NEGLIGIBLE:
             return grown, rest, useless
         grown, lean = rest[worst], {}
         useless.add(worst)
     return grown, lean, useless
+
+
+def _untold(fit: Fit) -> float:
+    """What a fit leaves of recordings that were not fitted."""
+    return unseen(fit, tolerance(fit))
 
 
 def _earns(both: Fit, alone: Sequence[Fit], base: Fit, needed: float) -> bool:
@@ -210,21 +211,22 @@ def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
     While a misfit remains, what has more evidence must also tell other recordings better.
     """
     rest = [r for r in ranked if r.placed != own.placed]
-    if own.fit.noise_inflation >= MODEL_ERROR:
-        score = unseen(own.fit, tolerance(own.fit))
-        rest = [r for r in rest if r.gain < own.gain - AHEAD or unseen(r.fit, tolerance(r.fit)) < score]
+    if own.fit.noise_inflation >= MODEL_ERROR and others_exist(own.fit):
+        score = _untold(own.fit)
+        rest = [r for r in rest if r.gain < own.gain - AHEAD or _untold(r.fit) < score]
     return tuple(sorted([own, *rest], key=lambda r: -r.gain))
 
 
 def _prune(fit: Fit, needed: float) -> tuple[Fit, dict[PlacedEffect, Fit]]:
     """Drops effects that no longer earn their place beside the later ones; fits without each of those that stay.
 
-    Where other recordings chose them, any evidence will do.
+    Where other recordings chose them, those judge them, too.
     """
     lean: dict[PlacedEffect, Fit] = {}
-    needed = needed if fit.noise_inflation < MODEL_ERROR else 0.0
     effects = fit.problem.effects
-    for placed in effects if len(effects) > 1 else ():
+    if len(effects) < 2 or (fit.noise_inflation >= MODEL_ERROR and others_exist(fit)):
+        return fit, lean
+    for placed in effects:
         rest = without(fit, fit.problem.effects.index(placed))
         if gain(rest, fit, effective_share(fit)) < needed:
             fit, lean = rest, {}

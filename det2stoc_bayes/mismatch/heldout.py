@@ -1,18 +1,21 @@
 """How well recordings that were not fitted are predicted, before and after."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from det2stoc_bayes.linearization import Linearization
-from det2stoc_bayes.optimize import Fit, fit_starts
+from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.recording import Recording
 from det2stoc_bayes.segments import Segments, cut
+from det2stoc_bayes.start_fit import fit_starts
 
 WARM_UP = 0.1  # of a stretch: the samples from which its initial state is estimated
 LEAST_WARM_UP = 10  # samples
+ALIKE = 1.5  # times as long: recordings that are simulated together
 NEGLIGIBLE = 0.05  # of the held-out squared error beyond noise
 CHANCE = 3.0  # standard deviations of chi2 by which the held-out error exceeds noise by chance
 DIVERGED = 1e6  # whitened squared error a value at which a diverged rollout is counted
@@ -51,8 +54,9 @@ def evaluate(fit: Fit, z_by_recording: dict[str, np.ndarray], recordings: tuple[
     for r in recordings:
         alike.setdefault(z_by_recording[r.name].tobytes(), []).append(r)
     scores: dict[str, _Score] = {}
-    for group in alike.values():
-        scores |= _scores(fit, z_by_recording[group[0].name], tuple(group))
+    for same in alike.values():
+        for group in _together(same):
+            scores |= _scores(fit, z_by_recording[group[0].name], group)
     names = tuple(r.name for r in recordings)
     listed = [scores[name] for name in names]
     return HeldOut(
@@ -78,13 +82,31 @@ class _Score:
     rollout: Float[np.ndarray, "samples columns"]
 
 
-def misfit(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> float:
-    """Whitened squared error of recordings, initial states integrated out."""
+def foretold(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> float:
+    """Whitened squared error of rollouts from states that are estimated from the samples before."""
+    return sum(_foretold(fit, z, group) for group in _together(recordings))
+
+
+def _foretold(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> float:
     problem, posed = _posed(fit, z, recordings)
-    lin = fit_starts(problem, posed)
-    if lin is None and len(recordings) > 1:
-        return sum(misfit(fit, z, (r,)) for r in recordings)
-    return DIVERGED * float(problem.segments.observed.sum()) if lin is None else float(_integrated(lin)[0].sum())
+    predicted = _rollout(problem, posed)
+    if not np.isfinite(predicted).all():
+        if len(recordings) > 1:
+            return sum(_foretold(fit, z, (r,)) for r in recordings)
+        return DIVERGED * float(problem.segments.observed.sum())
+    error = problem.residuals(predicted).reshape(problem.segments.values.shape)
+    whitened = problem.measurement.bend(np.where(_counted(problem.segments), error / problem.noise, 0.0))
+    return float((whitened**2).sum())
+
+
+def _together(recordings: Sequence[Recording]) -> list[tuple[Recording, ...]]:
+    """Groups of similar length: all of a group are simulated as long as its longest."""
+    groups: list[list[Recording]] = []
+    for r in sorted(recordings, key=lambda r: len(r.time)):
+        if not groups or len(r.time) > ALIKE * len(groups[-1][0].time):
+            groups.append([])
+        groups[-1].append(r)
+    return [tuple(g) for g in groups]
 
 
 def _posed(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> tuple[Problem, np.ndarray]:
@@ -104,10 +126,8 @@ def _scores(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> dict[
     chi2, normalizer = _integrated(lin)
     predicted = _rollout(problem, posed)
     error = problem.residuals(predicted).reshape(segments.values.shape)
-    counted = segments.observed.copy()
-    for s in range(segments.count):
-        counted[s, : _warm(int(segments.lengths[s]))] = False
-    error, out = np.where(counted, error, 0.0), {}
+    counted, out = _counted(segments), {}
+    error = np.where(counted, error, 0.0)
     for k, r in enumerate(recordings):
         mine = np.flatnonzero(segments.recording == k)
         values = segments.observed[mine].sum() - len(mine) * lin.latent.prior_sd.shape[1]
@@ -120,6 +140,14 @@ def _scores(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> dict[
             np.concatenate([predicted[s, : segments.lengths[s]] for s in mine]),
         )
     return out
+
+
+def _counted(segments: Segments) -> Bool[np.ndarray, "segments samples columns"]:
+    """Recorded values beyond the warm-up."""
+    counted = segments.observed.copy()
+    for s in range(segments.count):
+        counted[s, : _warm(int(segments.lengths[s]))] = False
+    return counted
 
 
 def _diverged(segments: Segments, recording: Recording) -> _Score:
@@ -187,7 +215,7 @@ def held_out(fit: Fit) -> HeldOut:
 
 
 def fitted(fit: Fit) -> HeldOut:
-    """The same for the recordings that were fitted, for pictures."""
+    """The same for the recordings that were fitted."""
     study = fit.problem.simulator.study
     return evaluate(fit, dict.fromkeys((r.name for r in study.recordings), fit.point.z), study.recordings)
 

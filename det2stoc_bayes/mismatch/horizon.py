@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from det2stoc_bayes.linearization import start_point
-from det2stoc_bayes.mismatch.evidence import whitened
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, whitened
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import cut
@@ -45,7 +45,7 @@ def extend(fit: Fit) -> Fit:
     if fit.problem.segments.count == whole.segments.count:
         return fit
     longer = fit_many([(whole, start_point(whole, fit.point.z))], tolerance=0.5)[0]
-    if longer is None or relative_error(longer) > LARGEST_ERROR:
+    if longer is None or longer.noise_inflation >= MODEL_ERROR:  # by way of shorter ones, lest it be a false optimum
         longer = climb(fit.problem, fit.point.z)
     return fit if longer is None or longer.problem.segments.count >= fit.problem.segments.count else longer
 

@@ -49,7 +49,7 @@ def corrected(fit: Fit, timestep: float) -> Fit:
         return fit
     problem = replace(fit.problem, finer=Finer(*found))
     better = fit_many([(problem, fit.point)], tolerance=0.3)[0]
-    return fit if better is None or log_evidence(better) <= log_evidence(fit) else better
+    return better if better is not None and log_evidence(better) > log_evidence(fit) else fit
 
 
 def _converged(fit: Fit, timestep: float) -> tuple[float, str, Float[np.ndarray, "segments samples columns"]] | None:
@@ -59,7 +59,7 @@ def _converged(fit: Fit, timestep: float) -> tuple[float, str, Float[np.ndarray,
         return None
     for ratio in RATIOS:
         coarser = there if ratio == FINE else _predicted(fit, timestep / ratio, "RK4")
-        if ratio == FINE or _change(fit, coarser, there) < NEGLIGIBLE:
+        if ratio == FINE or (np.isfinite(coarser).all() and _change(fit, coarser, there) < NEGLIGIBLE):
             return timestep / ratio, "RK4", coarser - here
     return None
 

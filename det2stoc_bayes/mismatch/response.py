@@ -88,6 +88,7 @@ class Response:
         a = np.moveaxis(state[1:] - state[0], 0, -1) / steps
         c = np.moveaxis(column[1:] - column[0], 0, -1) / steps
         self.a, self.c = self._spread(np.nan_to_num(a)), self._spread(np.nan_to_num(c))
+        self._inside: dict[tuple[int, int, tuple[int, ...]], JointState] = {}
         self._units: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {}
 
     def _moved(self, change: np.ndarray) -> Start:
@@ -117,7 +118,7 @@ class Response:
     ) -> tuple[np.ndarray, np.ndarray]:
         """d and e of what an effect without memory makes of an actuator's commands: its mean over each interval."""
         segments, tried = self.problem.segments, [{n: np.array([v]) for n, v in t.items()} for t in trials]
-        arriving, before = self._arriving()
+        arriving, before = self._arriving
         u = arriving[..., at.ctrl]
         time = segments.time[:, :1] + (np.arange(u.shape[1]) - before) * self._dt
         change = np.stack([effect.control(p, u, time, self._dt, np) - u for p in tried], -1)[:, before:]
@@ -132,6 +133,7 @@ class Response:
     def _dt(self) -> float:
         return self.problem.timestep or float(self.problem.simulator.model.opt.timestep)
 
+    @cached_property
     def _arriving(self) -> tuple[Float[np.ndarray, "S steps nu"], int]:
         """What arrives at the actuators under the effects that are there, and how many steps come before the start."""
         problem, segments = self.problem, self.problem.segments
@@ -194,6 +196,12 @@ class Response:
 
     def joint_states(self, at: Element) -> JointState:
         """A joint at points inside every interval (S, K, points), by cubic Hermite, and what drives it."""
+        key = (at.qpos, at.dof, at.actuators)
+        if key not in self._inside:
+            self._inside[key] = self._joint_states(at)
+        return self._inside[key]
+
+    def _joint_states(self, at: Element) -> JointState:
         time = self.problem.segments.time
         q, v = self.path.qpos[..., at.qpos], self.path.qvel[..., at.dof]
         h = np.diff(time, axis=1)[..., None]
@@ -210,7 +218,7 @@ class Response:
 
     def _drive(self, at: Element, when: Float[np.ndarray, "S K points"], share: Float[np.ndarray, " points"]) -> Drive:
         model, act = self.problem.simulator.model, self.path.act
-        ctrl, before = self._arriving()
+        ctrl, before = self._arriving
         step = np.floor((when - self.problem.segments.time[:, :1, None]) / self._dt + 1e-6).astype(int) + before
         ctrl = ctrl[np.arange(len(ctrl))[:, None, None], step]
         act = act[:, :-1, None] + share[:, None] * (act[:, 1:, None] - act[:, :-1, None])

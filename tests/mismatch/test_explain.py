@@ -12,7 +12,6 @@ from det2stoc_bayes.mismatch.crossed import crossed
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_evidence
 from det2stoc_bayes.mismatch.explain import explain
-from det2stoc_bayes.mismatch.heldout import HeldOut
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 
 SMALL = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
@@ -104,12 +103,7 @@ def test_of_two_that_tell_the_same_only_one_is_dropped(drag, monkeypatch):
     both, one, other = (fit(problem.with_effects(e)) for e in (placed, placed[1:], placed[:1]))
     chi2 = {id(bare): 1000.0, id(both): 400.0, id(one): 410.0, id(other): 412.0}
 
-    def scored(f):
-        return HeldOut(
-            ("r",), *(np.array([x]) for x in (0.0, chi2[id(f)], 100.0)), np.ones((1, 1)), np.ones((1, 1)), {}
-        )
-
-    monkeypatch.setattr(module, "held_out", scored)
+    monkeypatch.setattr(module, "unseen", lambda f, _: chi2[id(f)])
     kept, _, useless = module._without_useless(bare, both, dict(zip(placed, (one, other), strict=True)))
     assert kept is one and useless == {placed[0]}
 
@@ -128,3 +122,16 @@ def test_what_tells_other_recordings_worse_is_no_rival_under_a_misfit(drag, monk
         of = {id(own.fit): scores[0], id(rival.fit): scores[1]}
         monkeypatch.setattr(module, "unseen", lambda f, _, of=of: of[id(f)])
         assert module._rivals(own, (rival, own)) == expected
+
+
+def test_a_single_recording_has_no_others_to_ask(drag, monkeypatch):
+    """The evidence of what was fitted decides, and nothing is refitted without the only recording."""
+    problem = replace(drag.problem, noise=drag.problem.noise / 10)
+    placed = [place(problem, n, "slide", SMALL) for n in ("coulomb_friction", "viscous_damping")]
+    own, rival = (Ranked(e, fit(problem.with_effects([e])), gain) for e, gain in zip(placed, (60.0, 90.0), strict=True))
+    monkeypatch.setattr(module, "others_exist", lambda fit: False)
+    monkeypatch.setattr(module, "unseen", lambda *_: pytest.fail("there are no other recordings"))
+    assert module._rivals(own, (rival, own)) == (rival, own)
+    assert module._without_useless(drag, own.fit, {}) == (own.fit, {}, set())
+    monkeypatch.setattr(module, "refine_pairs", lambda *_: [])
+    assert module._better(Slot(drag, (), (rival, own)), 10.0, drag) is rival.fit

@@ -82,3 +82,19 @@ def test_a_slight_error_of_integration_does_not_bias(tmp_path):
 def test_a_fine_step_or_a_large_misfit_is_not_corrected(tmp_path):
     good, bad = believed(tmp_path / "good", GOOD), believed(tmp_path / "bad", COARSE)
     assert corrected(good, 0.005) is good and corrected(bad, 0.02) is bad
+
+
+def test_a_step_that_diverges_does_not_converge(tmp_path):
+    """RK4 at the believed step is unstable on what Euler damps implicitly."""
+    body = """<body name="light"><joint name="slide" type="slide" axis="1 0 0" damping="15.5" stiffness="30"/>
+      <geom size="0.1" mass="0.01" contype="0" conaffinity="0"/></body>"""
+    option = '<option timestep="0.002" integrator="{}" gravity="0 0 0"/>'
+    made = recordings(
+        model_xml(body, option=option.format("implicit")), [([0.5], [0.0])], 20 * np.arange(40), (1e-6, 1e-5)
+    )
+    toml = '[psi.stiffness]\ntarget = "joint/slide/stiffness"\nprior = { Normal = { loc = 30, scale = 3 } }\n'
+    toml += noise_table(1e-6, 1e-5)
+    base = fit(pose(make_study(tmp_path / "study", model_xml(body, option=option.format("Euler")), toml, made)))
+    found = numerics._converged(base, 0.002)
+    assert found is not None and found[0] < 0.002 and np.isfinite(found[2]).all()
+    assert np.isfinite(corrected(base, 0.002).chi2)

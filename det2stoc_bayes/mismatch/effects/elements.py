@@ -12,8 +12,9 @@ class Element:
     """Something in the model that an effect can sit on; indices and traits are what hooks and candidates need.
 
     An actuator's dof and qpos are its joint's, if it drives one. `traits`: driven (a joint that motors drive, an
-    actuator that drives a joint), loose (a body whose inertial frame may be changed), sized (a body whose size a
-    recording changes), fluid and wind (of the world), value and clock (of what is recorded).
+    actuator that drives a joint), plain (an actuator of fixed or affine law), loose (a body whose inertial frame may
+    be changed), sized (a body whose size a recording changes), fluid and wind (of the world), value and clock (of
+    what is recorded).
     """
 
     kind: Kind

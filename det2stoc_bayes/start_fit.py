@@ -1,0 +1,89 @@
+"""What belongs to single recordings, fitted to each of them while the other unknowns stay as they are."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from det2stoc_bayes.engines.base import Start
+from det2stoc_bayes.linearization import Linearization, Point, linearize, start_point
+from det2stoc_bayes.problem import Problem
+
+NUM_STEPS = 6
+LEAST_GAIN = 1e-2  # of whitened squared residual: what promises less is not moved
+SHORTER = 0.3  # of a step that is no improvement
+LARGEST_STEP = 10.0  # prior sds of a psi that varies, in one step
+
+
+def fit_starts(problem: Problem, z: Float[np.ndarray, " size"]) -> Linearization | None:
+    """The most probable initial states, and values of psi by recording, under the other unknowns as they are.
+
+    Recordings are simulated together but step by themselves. None where the simulation of one diverges.
+    """
+    lin = linearize([(problem, start_point(problem, z))], unknowns="own")[0]
+    share = np.ones(len(problem.segments.recordings))
+    for _ in range(NUM_STEPS):
+        if lin is None:
+            return None
+        step = _own_step(lin)
+        moving = np.where(_heights(lin) - _promised(lin, step) > LEAST_GAIN, share, 0.0)
+        if not moving.any():
+            return lin
+        after = linearize([(problem, _moved(lin, step, moving))], unknowns="own")[0]
+        better = np.zeros(len(share), bool) if after is None else _heights(after) < _heights(lin)
+        share = np.where(better, 1.0, SHORTER * share)
+        lin = lin if after is None else _mixed(lin, after, better)
+    return lin
+
+
+def _own_step(lin: Linearization) -> Float[np.ndarray, " size"]:
+    """Newton's step in the values of psi by recording alone."""
+    own, step = lin.problem.unknowns.owned, np.zeros(lin.problem.size)
+    if len(own):
+        gram, slope, _ = (x.sum(0) for x in lin.gram())
+        precision = gram[np.ix_(own, own)] + np.eye(len(own))
+        step[own] = np.clip(np.linalg.solve(precision, slope[own] - lin.point.z[own]), -LARGEST_STEP, LARGEST_STEP)
+    return step
+
+
+def _by_recording(lin: Linearization, by_segment: np.ndarray, z: np.ndarray) -> Float[np.ndarray, " recordings"]:
+    """Squares of segments, and of the recordings' own unknowns, summed over each recording."""
+    out = np.bincount(lin.problem.segments.recording, by_segment, len(lin.problem.segments.recordings))
+    for rows in lin.problem.unknowns.own:
+        out += z[rows] ** 2
+    return out
+
+
+def _heights(lin: Linearization) -> Float[np.ndarray, " recordings"]:
+    return _by_recording(lin, (lin.stacked**2).sum((1, 2)), lin.point.z)
+
+
+def _promised(lin: Linearization, step: np.ndarray) -> Float[np.ndarray, " recordings"]:
+    """Heights after a whole step, were predictions linear."""
+    left = lin.latent.project(lin.stacked - (lin.columns @ step)[..., None])
+    return _by_recording(lin, (left**2).sum((1, 2)), lin.point.z + step)
+
+
+def _moved(lin: Linearization, step: np.ndarray, share: Float[np.ndarray, " recordings"]) -> Point:
+    problem, z = lin.problem, lin.point.z.copy()
+    for rows in problem.unknowns.own:
+        z[rows] += share * step[rows]
+    seen = lin.columns @ (z - lin.point.z)
+    change = lin.latent.best_start(lin.stacked - seen[..., None]) * share[problem.segments.recording][:, None]
+    return Point(z, problem.moved(lin.point.start, change))
+
+
+def _mixed(before: Linearization, after: Linearization, better: Bool[np.ndarray, " recordings"]) -> Linearization:
+    """Each recording as it was or as it is after a step."""
+    segments, z = better[before.problem.segments.recording], before.point.z.copy()
+    for rows in before.problem.unknowns.own:
+        z[rows] = np.where(better, after.point.z[rows], z[rows])
+
+    def pick(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.where(segments.reshape(-1, *[1] * (a.ndim - 1)), b, a)
+
+    old, new = before.latent, after.latent
+    latent = replace(old, **{n: pick(a, getattr(new, n)) for n, a in vars(old).items() if a is not None})
+    starts = [pick(getattr(before.point.start, n), getattr(after.point.start, n)) for n in ("qpos", "qvel", "act")]
+    stacked, columns = pick(before.stacked, after.stacked), pick(before.columns, after.columns)
+    return replace(before, point=Point(z, Start(*starts)), latent=latent, stacked=stacked, columns=columns)
