@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.evidence import probabilities, whitened
+from det2stoc_bayes.mismatch.crossed import others_exist
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, probabilities, whitened
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 
 AGREEMENT = 0.3  # noise sds (rms) within which predictions agree
@@ -28,7 +29,10 @@ def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
     nothing by them counts for the class, but only the smallest are its members.
     """
     left = list(slot.ranked)
-    chance = dict(zip((id(r) for r in left), probabilities([r.gain for r in left], num_candidates), strict=True))
+    # Under model error it was other recordings that asked for an effect, and they know none that does without.
+    needed = bool(left) and min(r.fit.noise_inflation for r in left) >= MODEL_ERROR and others_exist(slot.base)
+    chances = probabilities([r.gain for r in left], num_candidates, needed=needed)
+    chance = dict(zip((id(r) for r in left), chances, strict=True))
     found = []
     while left:
         best = left[0]

@@ -71,12 +71,16 @@ def log_det(matrix: np.ndarray) -> float:
     return float(np.linalg.slogdet(matrix)[1]) if matrix.size else 0.0
 
 
-def probabilities(gains: Sequence[float], num_candidates: int) -> Float[np.ndarray, " hypotheses"]:
+def probabilities(
+    gains: Sequence[float], num_candidates: int, *, needed: bool = False
+) -> Float[np.ndarray, " hypotheses"]:
     """Posterior probability of each hypothesis, given log evidence gains over none; what is left is none's.
 
-    Every one of `num_candidates` candidates, refined or not, has the same share of 1 - PRIOR_OF_NONE.
+    Every one of `num_candidates` candidates, refined or not, has the same share of 1 - PRIOR_OF_NONE; `needed` says
+    that none is out of the question.
     """
     prior = np.log((1 - PRIOR_OF_NONE) / max(num_candidates, 1))
-    logits = np.array([np.log(PRIOR_OF_NONE), *(prior + np.asarray(gains, float))])
+    none = -np.inf if needed and len(gains) else np.log(PRIOR_OF_NONE)
+    logits = np.array([none, *(prior + np.asarray(gains, float))])
     weights = np.exp(logits - logits.max())
     return (weights / weights.sum())[1:]

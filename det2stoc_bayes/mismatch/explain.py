@@ -208,11 +208,11 @@ def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], p
 def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
     """An effect and what could stand in its place, most evidence first.
 
-    While a misfit remains, what has more evidence must also tell other recordings better.
+    While a misfit remains, what has about as much evidence or more must tell other recordings about as well.
     """
     rest = [r for r in ranked if r.placed != own.placed]
     if own.fit.noise_inflation >= MODEL_ERROR and others_exist(own.fit):
-        score = _untold(own.fit)
+        score = (1 + NEGLIGIBLE) * _untold(own.fit)
         rest = [r for r in rest if r.gain < own.gain - AHEAD or _untold(r.fit) < score]
     return tuple(sorted([own, *rest], key=lambda r: -r.gain))
 

@@ -135,3 +135,14 @@ def test_a_single_recording_has_no_others_to_ask(drag, monkeypatch):
     assert module._without_useless(drag, own.fit, {}) == (own.fit, {}, set())
     monkeypatch.setattr(module, "refine_pairs", lambda *_: [])
     assert module._better(Slot(drag, (), (rival, own)), 10.0, drag) is rival.fit
+
+
+def test_a_rival_that_tells_other_recordings_about_as_well_stays(drag, monkeypatch):
+    """So that what cannot be told apart is one class, whatever its last digit."""
+    problem = replace(drag.problem, noise=drag.problem.noise / 10)
+    placed = [place(problem, n, "slide", SMALL) for n in ("coulomb_friction", "viscous_damping")]
+    own, rival = (Ranked(e, fit(problem.with_effects([e])), gain) for e, gain in zip(placed, (60.0, 59.0), strict=True))
+    for score, kept in ((1.02, (own, rival)), (1.5, (own,))):
+        of = {id(own.fit): 1.0, id(rival.fit): score}
+        monkeypatch.setattr(module, "unseen", lambda f, _, of=of: of[id(f)])
+        assert module._rivals(own, (own, rival)) == kept
