@@ -16,7 +16,7 @@ from det2stoc_bayes.mismatch.credence import weigh
 from det2stoc_bayes.mismatch.explain import explain
 from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
-from det2stoc_bayes.mismatch.numerics import check_numerics, corrected
+from det2stoc_bayes.mismatch.numerics import check_numerics
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.where import conditions
 from det2stoc_bayes.optimize import Fit
@@ -88,8 +88,6 @@ def diagnose(
     numerics = check_numerics(before, float(simulator.model.opt.timestep), len(pool))
     believed = before if numerics is None else numerics.fit
     found = explain(believed, pool, progress)
-    if found.after.problem.effects:
-        found = replace(found, after=corrected(found.after, float(simulator.model.opt.timestep)))
     progress("scoring held-out recordings", 0, 1)
     judged = judge(found.before if numerics is None else _believed(found.before, before), found, numerics)
     places = [list(judged.after.problem.effects).index(n.placed) for n in judged.named]

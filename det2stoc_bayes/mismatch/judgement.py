@@ -8,7 +8,7 @@ from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE, HeldOut, excess_beyond_chance, held_out, share_explained
-from det2stoc_bayes.mismatch.numerics import Numerics
+from det2stoc_bayes.mismatch.numerics import Numerics, corrected
 from det2stoc_bayes.mismatch.refit import swap, without
 from det2stoc_bayes.optimize import Fit, fit_many
 
@@ -52,12 +52,13 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     after = found.after
     for i, placed in enumerate(after.problem.effects):
         after = swap(after, i, _class_of(places[i], placed).members[0])
+    after = corrected(after) if after.problem.effects else after
     whole = held_out(after) if after.problem.effects else held_before
     share = 0.0
     if numerics is not None:
         share = share_explained(held_before, held_before, held_out(numerics.fit))
         if share < NEGLIGIBLE:
-            numerics, after = None, _at_believed_step(after)
+            numerics, after = None, corrected(_at_believed_step(after))
             whole = held_out(after)
     named, negligible = [], []
     for i, placed in enumerate(after.problem.effects):

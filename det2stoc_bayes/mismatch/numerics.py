@@ -37,14 +37,14 @@ def check_numerics(fit: Fit, timestep: float, num_candidates: int) -> Numerics |
     return Numerics(step, integrator, gain, better) if gain > np.log(max(num_candidates, 1)) else None
 
 
-def corrected(fit: Fit, timestep: float) -> Fit:
+def corrected(fit: Fit) -> Fit:
     """The fit without the believed timestep's error, where recordings are explained so well that it matters.
 
     The error is taken from one finer simulation and held, so that all that follows costs what it did.
     """
     if fit.problem.timestep is not None or fit.noise_inflation >= MODEL_ERROR:
         return fit
-    found = _converged(fit, timestep)
+    found = _converged(fit, float(fit.problem.simulator.model.opt.timestep))
     if found is None:
         return fit
     problem = replace(fit.problem, finer=Finer(*found))

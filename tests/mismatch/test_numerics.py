@@ -69,7 +69,7 @@ SLIGHTLY_COARSE = '<option timestep="0.002" integrator="Euler" gravity="0 0 -9.8
 def test_a_slight_error_of_integration_does_not_bias(tmp_path):
     """As a fit at the finer step finds, at the believed step's price; other recordings are simulated finely."""
     base = believed(tmp_path, SLIGHTLY_COARSE)
-    better = corrected(base, 0.002)
+    better = corrected(base)
     assert better.chi2 < base.chi2 - 10
     fine = fit(replace(base.problem, timestep=better.problem.finer.timestep, integrator="RK4"))
     sd = np.sqrt(fine.covariance[0, 0])
@@ -81,7 +81,7 @@ def test_a_slight_error_of_integration_does_not_bias(tmp_path):
 
 def test_a_fine_step_or_a_large_misfit_is_not_corrected(tmp_path):
     good, bad = believed(tmp_path / "good", GOOD), believed(tmp_path / "bad", COARSE)
-    assert corrected(good, 0.005) is good and corrected(bad, 0.02) is bad
+    assert corrected(good) is good and corrected(bad) is bad
 
 
 def test_a_step_that_diverges_does_not_converge(tmp_path):
@@ -97,4 +97,4 @@ def test_a_step_that_diverges_does_not_converge(tmp_path):
     base = fit(pose(make_study(tmp_path / "study", model_xml(body, option=option.format("Euler")), toml, made)))
     found = numerics._converged(base, 0.002)
     assert found is not None and found[0] < 0.002 and np.isfinite(found[2]).all()
-    assert np.isfinite(corrected(base, 0.002).chi2)
+    assert np.isfinite(corrected(base).chi2)
