@@ -63,7 +63,6 @@ class Stepper:
         stage = _VEL if self.pushed else _NONE
         # The stages of the new state would overwrite its sensors, those of the middle are not the ones to step from.
         apart = bool(self.pushed) and ("sensordata" in live or self.lead > 0)
-        self.past[:] = self.qvel
         if self.pushed:
             self._place()
         for k in range(num_steps):

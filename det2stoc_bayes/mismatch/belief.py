@@ -64,14 +64,10 @@ def believe(fit: Fit, share: float, seed: int, *, temper: Temper | None = None, 
 
     `temper` is called where importance sampling fails; without it the last adapted proposal stands, and k-hat says so.
     """
-    power = share / fit.noise_scale
-    varies = bool(fit.problem.unknowns.varying) and fit.problem.spreads is not None
-    own = freed(fit) if varies else fit
-    density = Density.at(own, power)
+    own, density, coordinates = _about(fit, share)
     if density.size == 0:
         terms = np.repeat(density.log_likelihood_by_recording(np.zeros((1, 0))), num_draws, 0)
         return Belief(own, density, np.zeros((num_draws, 0)), terms, "laplace+psis", None, 1)
-    coordinates = Population(fit, own.problem.unknowns, power) if varies else Affine(own, power)
     drawn = _Weighted(density, coordinates, seed)
     for k in range(NUM_ROUNDS):
         drawn.add(_budget(fit))
@@ -90,15 +86,20 @@ def roughly(fit: Fit, share: float, seed: int, *, num_draws: int = NUM_DRAWS) ->
 
     For fits that leave a misfit: the widened likelihood is a convention there, and weighing by it adds no truth.
     """
-    power = share / fit.noise_scale
-    varies = bool(fit.problem.unknowns.varying) and fit.problem.spreads is not None
-    own = freed(fit) if varies else fit
-    coordinates = Population(fit, own.problem.unknowns, power) if varies else Affine(own, power)
+    own, density, coordinates = _about(fit, share)
     normal = np.random.default_rng(seed).standard_normal((SPARE * num_draws, coordinates.size))
     z, floor = coordinates(normal)[0], own.problem.floor
     inside = np.flatnonzero((z >= floor).all(1))
     chosen = np.resize(inside, num_draws) if len(inside) else np.arange(num_draws)
-    return Belief(own, Density.at(own, power), np.maximum(z[chosen], floor), None, "laplace", None, 0)
+    return Belief(own, density, np.maximum(z[chosen], floor), None, "laplace", None, 0)
+
+
+def _about(fit: Fit, share: float) -> tuple[Fit, Density, Coordinates]:
+    """The fit with its populations' spreads free, its tempered density, and coordinates in which that is normal."""
+    power = share / fit.noise_scale
+    varies = bool(fit.problem.unknowns.varying) and fit.problem.spreads is not None
+    own = freed(fit) if varies else fit
+    return own, Density.at(own, power), Population(fit, own.problem.unknowns, power) if varies else Affine(own, power)
 
 
 def with_chains(cheap: Belief, chains: Float[np.ndarray, "chain draw size"], evaluations: int) -> Belief:

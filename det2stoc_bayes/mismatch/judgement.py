@@ -63,7 +63,7 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     named, negligible = [], []
     for i, placed in enumerate(after.problem.effects):
         explains = _explained(found, after, i, held_before, whole, numerics is None)
-        if explains < NEGLIGIBLE and not _plain(after, explains, held_before):
+        if explains < NEGLIGIBLE and not _beyond_noise(after, explains, held_before):
             negligible.append((placed, explains))
         else:
             chosen = _class_of(places[i], placed)
@@ -85,7 +85,7 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     )
 
 
-def _plain(after: Fit, explains: float, believed: HeldOut) -> bool:
+def _beyond_noise(after: Fit, explains: float, believed: HeldOut) -> bool:
     """Whether an effect changes recordings by more than their noise, in a model that explains them."""
     change = explains * excess_beyond_chance(believed)
     return after.noise_inflation < MODEL_ERROR and change > believed.num_values.sum()

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
 from det2stoc_bayes.optimize import Fit, fit_many
-from det2stoc_bayes.problem import Finer
+from det2stoc_bayes.problem import Finer, Problem
 
 FINE = 4  # times finer, by RK4: the reference
 RATIOS = (1, 2, 4)  # timesteps tried for "what converges", coarsest first
@@ -64,12 +64,12 @@ def _converged(fit: Fit, timestep: float) -> tuple[float, str, Float[np.ndarray,
     return None
 
 
-def _at(fit: Fit, timestep: float, integrator: str):
+def _at(fit: Fit, timestep: float, integrator: str | None) -> Problem:
     return replace(fit.problem, timestep=timestep, integrator=integrator)
 
 
 def _predicted(fit: Fit, timestep: float | None = None, integrator: str | None = None) -> np.ndarray:
-    problem = fit.problem if timestep is None else replace(fit.problem, timestep=timestep, integrator=integrator)
+    problem = fit.problem if timestep is None else _at(fit, timestep, integrator)
     return problem.simulator.rollout(problem.request(fit.point.z[None], fit.point.start))
 
 
