@@ -36,7 +36,9 @@ class Chunk:
         self.body_forces = any(e.placed.effect.uses("body_force") for e in self.effects)
         self.fields: dict[str, np.ndarray] = {}  # that simulations have for themselves
         self.stepped = any(is_stepped(e) for e in self.effects)
-        self.batch = mujoco.batch.Batch(model, self.count, threads, persistent=self.body_forces)
+        # Stages kept between steps spare the Euler integrators a second computation of places; RK4 starts anew anyway.
+        kept = self.body_forces and model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
+        self.batch = mujoco.batch.Batch(model, self.count, threads, persistent=kept)
 
     def run(self, states: bool) -> Trajectory:
         """Simulate and read off."""
