@@ -12,7 +12,7 @@ from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
 from det2stoc_bayes.mismatch.experiment import propose
 from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE, excess_beyond_chance, horizon_samples
 from det2stoc_bayes.mismatch.judgement import Judgement, Named
-from det2stoc_bayes.mismatch.statements import alternatives, draws, element, parameters, statement
+from det2stoc_bayes.mismatch.statements import alternatives, draws, element, finer_step, parameters, statement
 from det2stoc_bayes.mismatch.where import Condition
 
 UNLIKELY = 0.01  # tail probability under its prior at which a psi is said to lie far out
@@ -174,9 +174,9 @@ class Composer:
         pairs = zip(fit.rollout_rmse_after.values(), fit.rollout_rmse_before.values(), strict=True)
         drops = [1 - a / b for a, b in pairs if a is not None and b]
         them = "it" if len(effects) == 1 else "them"
-        drop = f" With {them} the held-out error falls by {max(drops):.0%}." if drops and max(drops) > 0 else ""
-        left = self.credence.predictive.text()
-        return " ".join(e.statement for e in effects) + drop + (f" {left}" if left else "")
+        drop = f"With {them} the held-out error falls by {max(drops):.0%}." if drops and max(drops) > 0 else ""
+        step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()
+        return " ".join(text for text in [*(e.statement for e in effects), drop, step, left] if text)
 
     def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:
         count = self.judged.found.num_candidates

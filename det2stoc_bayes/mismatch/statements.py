@@ -10,6 +10,7 @@ from det2stoc_bayes.mismatch.classes import Class
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import widened
 from det2stoc_bayes.optimize import Fit
+from det2stoc_bayes.problem import Problem
 
 NUM_DRAWS = 1000
 INTERVAL = (2.5, 97.5)
@@ -71,6 +72,17 @@ def statement(placed: PlacedEffect, values: Mapping[str, finding.Quantity], equi
     word = effect.noun or effect.name.replace("_", " ").capitalize()
     verb = "is missing" if effect.kind not in ("sensor", "actuator") else "was left out"
     return f"{word}{equally} of {sizes} on {placed.element.label} {verb}."
+
+
+def finer_step(problem: Problem) -> str:
+    """That the corrected simulator has another timestep than the model file; empty where it has not."""
+    finer = problem.finer
+    if finer is None:
+        return ""
+    return (
+        f"The corrected simulator integrates by {finer.integrator} at {finer.timestep:g} s, "
+        "since in so good a fit the error of the believed step would show."
+    )
 
 
 def element(placed: PlacedEffect) -> finding.Element:

@@ -9,6 +9,7 @@ from simulated import PENDULUM, fit, noise_table, pose, recordings
 
 from det2stoc_bayes.mismatch import numerics
 from det2stoc_bayes.mismatch.numerics import check_numerics, corrected
+from det2stoc_bayes.mismatch.statements import finer_step
 
 COARSE = '<option timestep="0.02" integrator="Euler" gravity="0 0 -9.81"/>'
 FINE = '<option timestep="0.001" integrator="RK4" gravity="0 0 -9.81"/>'
@@ -77,6 +78,8 @@ def test_a_slight_error_of_integration_does_not_bias(tmp_path):
     assert off[1] < 0.05 < 0.5 < off[0]
     other = better.problem.on(better.problem.segments)
     assert (other.integrator, other.finer) == ("RK4", None)
+    assert f"by RK4 at {better.problem.finer.timestep:g} s" in finer_step(better.problem)
+    assert finer_step(base.problem) == ""
 
 
 def test_a_fine_step_or_a_large_misfit_is_not_corrected(tmp_path):

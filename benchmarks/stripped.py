@@ -1,0 +1,105 @@
+"""Real studies whose model has lost a piece that is documented: the diagnosis must name it.
+
+Each study is copied without the piece (and without the psi that would stand in for it), diagnosed by a process of its
+own, and a table is printed as Markdown; results go to benchmarks/results/stripped.jsonl.
+"""
+
+import argparse
+import json
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+from real import STUDIES, diagnosed
+
+LOG = Path(__file__).parent / "results" / "stripped.jsonl"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What is taken out of a model, the psi that go with it, and the effect that it then lacks."""
+
+    says: str
+    psi: tuple[str, ...]
+    remove: Callable[[Any], None]  # from a mujoco.MjSpec
+    effect: str
+    element: str
+
+
+def _no_damping(spec: Any) -> None:
+    spec.joint("hinge").damping = [0.0] * 3  # of a polynomial in speed
+
+
+def _no_back_emf(spec: Any) -> None:
+    _no_damping(spec)
+    spec.actuator("motor").biasprm = [0.0] * len(spec.actuator("motor").biasprm)
+
+
+def _half_gravity(spec: Any) -> None:
+    spec.option.gravity = [0.0, 0.0, -4.9]
+
+
+PIECES = {
+    "pendulum_multiarm": Piece("damping of the hinge", ("damping",), _no_damping, "viscous_damping", "hinge"),
+    # Back-EMF and viscous damping act alike: with either left in, nothing is missing.
+    "servo_xl330": Piece("back-EMF and damping", ("back_emf", "damping"), _no_back_emf, "viscous_damping", "hinge"),
+    "ball_drops": Piece("half of gravity", ("gravity",), _half_gravity, "gravity_error", ""),
+}
+
+
+def strip(study: Path, piece: Piece, folder: Path) -> Path:
+    """A copy of a study without the piece."""
+    shutil.copytree(study, folder)
+    text = (folder / "study.toml").read_text("utf-8")
+    for name in piece.psi:
+        text, count = re.subn(rf"^\[psi\.{re.escape(name)}\]\n(?:[^\[\n].*\n|\n)*", "", text, flags=re.M)
+        if count != 1:
+            raise ValueError(f"{study / 'study.toml'}: psi.{name} occurs {count} times; allowed: once")
+    (folder / "study.toml").write_text(text, "utf-8")
+    spec = mujoco.MjSpec.from_file(str(folder / "model.xml"))
+    piece.remove(spec)
+    spec.compile()
+    (folder / "model.xml").write_text(spec.to_xml(), "utf-8")
+    return folder
+
+
+def found(line: Mapping[str, Any], piece: Piece) -> bool:
+    """Whether the piece, or an equivalent of it, is named on its element."""
+    if line.get("verdict") != "mismatch":
+        return False
+    given = [entry for e in line["effects"] for entry in (e, *e["equivalent"])]
+    return any(g["name"] == piece.effect and piece.element in ("", g["element"]["name"]) for g in given)
+
+
+def main() -> int:
+    """Diagnose studies of a folder without a documented piece."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("names", nargs="*", choices=[[], *PIECES], help="studies to run; all of them if none is named")
+    parser.add_argument("--studies", type=Path, default=STUDIES, help="folder of studies")
+    options = parser.parse_args()
+    chosen = [name for name in options.names or PIECES if (options.studies / name / "study.toml").is_file()]
+    if not chosen:
+        print(f"{options.studies}: none of the studies is there: {', '.join(PIECES)}", file=sys.stderr)
+        return 2
+    LOG.parent.mkdir(exist_ok=True)
+    print("| study | taken out | found | what is said | seconds |\n|---|---|---|---|---|")
+    for name in chosen:
+        piece = PIECES[name]
+        with tempfile.TemporaryDirectory() as folder:
+            line = diagnosed(strip(options.studies / name, piece, Path(folder) / "study")) | {"study": name}
+        with LOG.open("a", encoding="utf-8") as log:
+            log.write(json.dumps(line) + "\n")
+        yes = "yes" if found(line, piece) else "no"
+        said = line.get("summary", line["verdict"])
+        print(f"| {name} | {piece.says} | {yes} | {said} | {line['seconds']:.0f} |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
