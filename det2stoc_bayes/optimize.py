@@ -222,28 +222,44 @@ def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> lis
     tried, requests = [], []
     for lin, step in zip(linear, steps, strict=True):
         # Starts alone come last: when the step itself is bad, the starts can still be improved.
-        alone = Point(lin.point.z, lin.problem.moved(lin.point.start, lin.latent.best_start(lin.stacked)))
-        points = [*(_moved(lin, step, fraction) for fraction in FRACTIONS), alone]
+        way = lin.latent.best_start(lin.stacked)
+        alone = [Point(lin.point.z, lin.problem.moved(lin.point.start, f * way)) for f in (1.0, *FRACTIONS)]
+        points = [*(_moved(lin, step, fraction) for fraction in FRACTIONS), *alone]
         tried.append(points)
         start = Start(*(np.concatenate([getattr(p.start, a) for p in points]) for a in ("qpos", "qvel", "act")))
         requests.append(lin.problem.request(np.stack([p.z for p in points]), start))
     predicted = simulate([(lin.problem, lin.point) for lin in linear], requests)
     best = []
     for lin, step, points, p in zip(linear, steps, tried, predicted, strict=True):
-        objective = _objective(lin, points, p, step.s2)
-        i = int(np.argmin(objective))
-        at = p.reshape(len(points), -1, *p.shape[1:])[i]
-        best.append(lin.about(points[i], at) if objective[i] < _height(lin, step.s2) else None)
+        point, at, height = _lowest(lin, points, p.reshape(len(points), -1, *p.shape[1:]), step.s2)
+        best.append(lin.about(point, at) if height < _height(lin, step.s2) else None)
     return best
 
 
-def _objective(lin: Linearization, points: Sequence[Point], predicted: np.ndarray, s2: float) -> np.ndarray:
-    r = lin.problem.residuals(predicted).reshape(len(points), lin.problem.segments.count, -1)
-    misfit = (lin.problem.measurement.bend(r * lin.problem.weight) ** 2).sum((1, 2))
-    below = [((tangent(lin.problem, p.start) / lin.problem.guess.prior_sd) ** 2).sum() for p in points]
-    total = (misfit + np.array(below)) / s2 + np.array([p.z @ p.z for p in points])
-    finite = np.isfinite(predicted).all((1, 2)).reshape(len(points), -1).all(1)
-    return np.where(finite, total, np.inf)
+def _lowest(
+    lin: Linearization,
+    points: Sequence[Point],
+    predicted: Float[np.ndarray, "points segments samples columns"],
+    s2: float,
+) -> tuple[Point, Float[np.ndarray, "segments samples columns"], float]:
+    """The best point, its prediction and height. Where the unknowns stay, every segment takes the start that it likes:
+    one that overshoots does not hold the others back.
+    """
+    problem, count = lin.problem, lin.problem.segments.count
+    r = problem.residuals(predicted.reshape(-1, *predicted.shape[2:])).reshape(len(points), count, -1)
+    misfit = (problem.measurement.bend(r * problem.weight) ** 2).sum(2)
+    misfit += np.stack([((tangent(problem, p.start) / problem.guess.prior_sd) ** 2).sum(1) for p in points])
+    misfit[~np.isfinite(predicted).all((2, 3))] = np.inf
+    first, segments = len(FRACTIONS), np.arange(count)
+    which = first + np.argmin(misfit[first:], axis=0)
+    own = {a: np.stack([getattr(p.start, a) for p in points])[which, segments] for a in ("qpos", "qvel", "act")}
+    mixed = misfit[which, segments].sum()
+    heights = [*(m.sum() / s2 + p.z @ p.z for m, p in zip(misfit[:first], points[:first], strict=True))]
+    heights.append(mixed / s2 + lin.point.z @ lin.point.z)
+    i = int(np.argmin(heights))
+    if i < first:
+        return points[i], predicted[i], float(heights[i])
+    return Point(lin.point.z, Start(**own)), predicted[which, segments], float(heights[i])
 
 
 def summarize(lin: Linearization, free_scale: bool, converged: bool) -> Fit:

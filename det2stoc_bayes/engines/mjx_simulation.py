@@ -264,7 +264,10 @@ def _get(model, name: str):
 
 
 def _interpolate(values: Float[Array, "steps *k"], at: Float[Array, " samples"]) -> Float[Array, "samples *k"]:
-    """Linear between steps; a little before the first step along the first step's slope."""
+    """As in the C engine: linear between steps, before the first one along the parabola through the first three."""
     low = jnp.clip(jnp.floor(jax.lax.stop_gradient(at)).astype(int), 0, len(values) - 2)
-    share = jnp.expand_dims(at - low, tuple(range(1, values.ndim)))
-    return (1 - share) * values[low] + share * values[low + 1]
+    share, before = (jnp.expand_dims(x, tuple(range(1, values.ndim))) for x in (at - low, jnp.minimum(at, 0.0)))
+    out = (1 - share) * values[low] + share * values[low + 1]
+    if len(values) < 3:
+        return out
+    return out + 0.5 * before * (before - 1) * (values[2] - 2 * values[1] + values[0])

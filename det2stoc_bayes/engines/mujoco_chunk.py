@@ -184,10 +184,18 @@ def _restrict(e: EffectRows, rows: slice) -> EffectRows | None:
 def _interpolate(
     values: Float[np.ndarray, "sims steps k"], at: Float[np.ndarray, "sims samples"]
 ) -> Float[np.ndarray, "sims samples k"]:
-    """Linear between steps; a little before the first step along the first step's slope."""
+    """Linear between steps; before the first one along the parabola through the first three.
+
+    There a delayed sensor shows what was before the recording began.
+    """
     nearest = np.rint(at)
     at = np.where(np.abs(at - nearest) < TIME_SLACK * 10, nearest, at)
     low = np.clip(np.floor(at).astype(int), 0, values.shape[1] - 2)
     share = (at - low)[..., None]
     rows = np.arange(len(values))[:, None]
-    return (1 - share) * values[rows, low] + share * values[rows, low + 1]
+    out = (1 - share) * values[rows, low] + share * values[rows, low + 1]
+    if values.shape[1] > 2 and (at < 0).any():
+        before = np.minimum(at, 0.0)[..., None]
+        bend = values[:, 2] - 2 * values[:, 1] + values[:, 0]
+        out += 0.5 * before * (before - 1) * bend[:, None]
+    return out
