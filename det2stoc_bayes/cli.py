@@ -38,7 +38,7 @@ app = typer.Typer(
 )
 
 StudyFolder = Annotated[Path, typer.Argument(metavar="STUDY", help="The study's folder.", show_default=False)]
-Seed = Annotated[int, typer.Option(min=0, help="Everything random follows from it.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Everything random follows from it.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an unforeseen error.")]
 
@@ -74,6 +74,7 @@ def fit(
         _check_folder(out)
         from det2stoc_bayes import posterior, tables, verbs
         from det2stoc_bayes.inference import get_method
+        from det2stoc_bayes.recording import StudyWarning
         from det2stoc_bayes.report.summary import summarize
 
         get_method(method)  # a name that does not exist is not worth reading a study for
@@ -82,6 +83,8 @@ def fit(
         tree = verbs.fit(believed, method, **options)
         rows, path = summarize(tree), out / "fit.nc"
         posterior.save(tree, path)
+        if method != "prior" and (misfit := posterior.misfit(tree)):
+            warnings.warn(misfit, StudyWarning, stacklevel=1)
     title = f"{believed.name}, {method}: {num_samples} draws in {path}"
     shown = tables.fit_json(rows, tree.attrs, str(path)) if as_json else tables.fit_table(rows, title)
     _show(shown, as_json)

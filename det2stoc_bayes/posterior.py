@@ -38,6 +38,7 @@ GROUPS = ("posterior", "unconstrained_posterior", "sample_stats", "observed_data
 ATTRIBUTES = (
     "method", "options", "seed", "versions", "seconds_compile", "seconds_run", "simulations", "gradients",
 )  # fmt: skip
+MOST_INFLATION = 1.5  # of the noise's variance: beyond it the model leaves something out
 Progress = Callable[[int, int], None]  # done, of how many
 
 
@@ -108,8 +109,29 @@ def build(
         "seconds_run": cost.seconds_run,
         "simulations": cost.simulations,
         "gradients": cost.gradients,
+        "noise_inflation": _inflation(density, float(log_likelihood.sum(-1).max())),
     }
     return tree
+
+
+def _inflation(density: Density, highest: float) -> float:
+    """Squared residual of the likeliest draw over what the noise alone would leave: 1 under the right model."""
+    problem, latent = density.problem, density.latent
+    starts = problem.segments.count * latent.prior_sd.shape[1]
+    free = max(latent.num_observed - starts - problem.size, 1)
+    chi2 = 2 * (float(density.normalizer.sum()) - highest) / density.temper
+    return max(chi2, 0.0) / problem.measurement.mean_square / free
+
+
+def misfit(tree: xr.DataTree) -> str:
+    """That the model cannot follow the recordings, in a sentence; empty where it can."""
+    inflation = tree.attrs.get("noise_inflation", 1.0)
+    if inflation < MOST_INFLATION:
+        return ""
+    return (
+        f"the recordings depart from the likeliest fit by {np.sqrt(inflation):.3g} times their noise: intervals hold only "
+        "if the model is right, and this speaks against it; `det2stoc diagnose` looks for what it leaves out"
+    )
 
 
 def variable_name(name: str) -> str:

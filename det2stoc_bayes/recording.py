@@ -18,6 +18,7 @@ from det2stoc_bayes.recording_glitches import glitches
 from det2stoc_bayes.suggestions import choices
 
 MOST_NORM_ERROR = 1e-2  # of a quaternion: rounding is normalised away, more is a mistake
+LARGEST = 1e12  # of a number, in SI units
 MOST_BYTES = 1_000_000_000  # of a file: its numbers are held in memory at once
 BEYOND = 0.05  # of a joint's range: what soft limits and noise may exceed it by
 LEAST_SUSPECT_SPAN = 50.0  # rad, eight turns: more may be degrees
@@ -63,6 +64,10 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
     for column in table.header:
         if np.isnan(table.column(column)).all():
             raise table.fail(f"column {column}: found no value at all; allowed: numbers (leave the column out)")
+        huge = np.flatnonzero(np.abs(table.column(column)) > LARGEST)
+        if len(huge):
+            value = float(table.column(column)[huge[0]])
+            raise table.fail(f"column {column}: found {value!r}; allowed: at most {LARGEST:g} in size", int(huge[0]))
     columns = tuple(c for c in table.header if c in names.columns)
     values = np.stack([table.column(c) for c in columns], axis=1)
     _unwrap(label, columns, values, names)

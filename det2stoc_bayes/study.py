@@ -24,6 +24,7 @@ from det2stoc_bayes.errors import StudyError, listing
 from det2stoc_bayes.measurement import Measurement
 from det2stoc_bayes.priors import Prior
 from det2stoc_bayes.recording import Recording, StudyWarning, read_recording
+from det2stoc_bayes.recording_clocks import check_clocks
 from det2stoc_bayes.study_file import FILES, LikelihoodTable, PsiTable, check_stems, find_files, inside, read_toml
 from det2stoc_bayes.suggestions import choices
 
@@ -87,7 +88,8 @@ def load_study(folder: Path) -> Study:
     """The study in a folder: all of it read and checked, or one StudyError or ModelError."""
     folder = Path(folder)
     if not folder.is_dir():
-        raise StudyError(f"{folder}: no such folder; allowed: a folder with {' or '.join(FILES)}")
+        found = "a file" if folder.exists() else "no such folder"
+        raise StudyError(f"{folder}: {found}; allowed: a folder with {' or '.join(FILES)}")
     source, content = read_toml(folder)
     model_path = inside(folder, content.model, f"{source}: model")
     model = compile_model(model_path, folder)
@@ -103,6 +105,7 @@ def load_study(folder: Path) -> Study:
     check_stems(files, held_out, content.known, source)
     recordings = tuple(read_recording(path, names) for path in files)
     holdout = tuple(read_recording(path, names) for path in held_out)
+    check_clocks((*recordings, *holdout), model.opt.timestep)
     _warn_of_controls((*recordings, *holdout), names)
     noise = _noise(content.noise, [c for r in (*recordings, *holdout) for c in r.columns], names, source)
     known = {stem: _known(values, model, names, f"{source}: known.{stem}") for stem, values in content.known.items()}

@@ -251,7 +251,7 @@ def refusal(folder: Path) -> str:
 
 def test_folders_without_a_study(folder: Path):
     assert "allowed: a folder with study.toml" in refusal(folder / "absent")
-    assert "no such folder" in refusal(folder / "study.toml")
+    assert "a file; allowed: a folder with study.toml" in refusal(folder / "study.toml")
     assert "found neither study.toml nor psi.toml but a.csv, b.csv" in refusal(folder / "recordings")
 
 
@@ -349,3 +349,31 @@ def test_the_timestep_is_no_psi(folder: Path):
     (folder / "study.toml").write_text('[psi.step]\ntarget = "opt/timestep"\nprior = { HalfNormal = {} }\n')
     with pytest.raises(StudyError, match=r"psi.step.target: 'opt/timestep': the samples' times .*allowed: gravity"):
         load_study(folder)
+
+
+def test_a_clock_that_is_not_in_seconds(folder: Path):
+    """Longer than any simulation: an error; another rate than the others': a warning."""
+    good = (folder / "recordings" / "a.csv").read_text()
+    header, *lines = good.strip().split("\n")
+    at = header.split(",").index("time")
+
+    def rewritten(change):
+        cells = [line.split(",") for line in lines]
+        for i, row in enumerate(cells):
+            row[at] = repr(change(i, float(row[at])))
+        (folder / "recordings" / "a.csv").write_text("\n".join([header, *(",".join(row) for row in cells)]) + "\n")
+
+    rewritten(lambda i, t: 1e9 if i == len(lines) - 1 else t)
+    assert "recordings/a.csv: column time: found 1e+09 s" in refusal(folder)
+    rewritten(lambda i, t: 1000 * t)
+    with pytest.warns(StudyWarning, match=r"a.csv: column time: a sample every .* \(is it in seconds\?\)"):
+        load_study(folder)
+
+
+def test_a_number_beyond_all_measure(folder: Path):
+    path = folder / "recordings" / "a.csv"
+    header, first, *rest = path.read_text().split("\n")
+    cells = first.split(",")
+    cells[-1] = "1e300"
+    path.write_text("\n".join([header, ",".join(cells), *rest]))
+    assert "found 1e+300; allowed: at most 1e+12 in size" in refusal(folder)

@@ -85,7 +85,8 @@ def compile_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
 
     if not path.is_file():
         there = sorted(other.name for other in path.parent.glob("*.xml"))
-        raise ModelError(f"{path.name}: no such file in {path.parent}; {choices(path.name, there)}")
+        allowed = choices(path.name, there) if there else "allowed: the model's MJCF, put there"
+        raise ModelError(f"{path.name}: no such file in {path.parent}; {allowed}")
     if path.suffix.lower() != ".xml":
         raise ModelError(f"{path.name}: the model is an MJCF file; allowed: .xml")
     _refuse_outside(path, (folder or path.parent).resolve())

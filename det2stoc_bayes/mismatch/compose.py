@@ -171,10 +171,7 @@ class Composer:
                 if c.element
             ]
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
-        pairs = zip(fit.rollout_rmse_after.values(), fit.rollout_rmse_before.values(), strict=True)
-        drops = [1 - a / b for a, b in pairs if a is not None and b]
-        them = "it" if len(effects) == 1 else "them"
-        drop = f"With {them} the held-out error falls by {max(drops):.0%}." if drops and max(drops) > 0 else ""
+        drop = _drop(fit, "it" if len(effects) == 1 else "them")
         step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()
         return " ".join(text for text in [*(e.statement for e in effects), drop, step, left] if text)
 
@@ -203,3 +200,15 @@ def _shares(effects: tuple[finding.Effect, ...]) -> list[dict]:
         key = (e.element.kind, e.element.name)
         shares[key] = shares.get(key, 0.0) + max(e.explains or 0.0, 0.0) / total
     return [{"kind": kind, "name": name, "share": min(s, 1.0)} for (kind, name), s in shares.items()]
+
+
+def _drop(fit: finding.Fit, them: str) -> str:
+    """By how much each column's held-out error falls; empty where none does."""
+    pairs = zip(fit.rollout_rmse_after.values(), fit.rollout_rmse_before.values(), strict=True)
+    drops = [1 - a / b for a, b in pairs if a is not None and b]
+    if not drops or max(drops) <= 0:
+        return ""
+    low, high = (f"{max(d, 0.0):.0%}" for d in (min(drops), max(drops)))
+    if low == high:
+        return f"With {them} the held-out error falls by {high}."
+    return f"With {them} the held-out error falls by {low} to {high}, depending on the column."

@@ -8,8 +8,6 @@ import xarray as xr
 from det2stoc_bayes.report import numbers
 
 BADGES = {"mismatch": "Mismatch found", "no_mismatch": "No mismatch found", "inconclusive": "Inconclusive"}
-NEGLIGIBLE = 0.05
-BEYOND_CHANCE = 3.0
 """Nats of log evidence above which a candidate is called significant."""
 
 
@@ -79,7 +77,7 @@ def screening_rows(fit: xr.DataTree) -> list[dict[str, Any]]:
     rows = []
     for i in range(table.sizes.get("candidate", 0)):
         one = {str(key): table[key].values[i] for key in table.variables if table[key].dims == ("candidate",)}
-        evidence, explains = float(one.get("log_evidence", "nan")), float(one.get("explains", "nan"))
+        evidence = float(one.get("log_evidence", "nan"))
         probability = float(one.get("probability", "nan"))
         rows.append(
             {
@@ -88,9 +86,7 @@ def screening_rows(fit: xr.DataTree) -> list[dict[str, Any]]:
                 "probability": numbers.percent(probability),
                 "bar": 100 * probability if probability >= 0 else 0.0,
                 "log_evidence": numbers.nats(evidence),
-                "explains": numbers.percent(explains) if explains >= 0 else "none",
                 "size": str(one.get("size", "")) or numbers.MISSING,
-                "negligible": evidence > BEYOND_CHANCE and explains < NEGLIGIBLE,
                 "order": (-probability if probability >= 0.005 else 0.0, -evidence),
             }
         )

@@ -2,13 +2,14 @@
 
 import inspect
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.inference import METHODS, get_method
-from det2stoc_bayes.posterior import ATTRIBUTES, GROUPS, load, save
+from det2stoc_bayes.posterior import ATTRIBUTES, GROUPS, load, misfit, save
 
 OWN = ("blackjax_nuts", "emcee", "laplace", "nuts", "prior", "smc")
 SAMPLERS = ("blackjax_nuts", "emcee", "nuts", "smc")
@@ -46,6 +47,8 @@ def test_contract(name, fits, gaussian_problem, tmp_path):
     assert tree.attrs["seed"] == 2
     assert tree.attrs["simulations"] > 0
     assert tree.attrs["seconds_run"] > 0
+    if name != "prior":  # whose likeliest draw may be far off
+        assert 0.5 < tree.attrs["noise_inflation"] < 1.5 and not misfit(tree)
     posterior = tree.posterior
     assert tuple(posterior) == gaussian_problem.names == ("gravity_x", "gravity_z")
     for variable in posterior.values():
@@ -79,3 +82,10 @@ def test_reproducible_from_key(name, fits, gaussian_problem):
     if name in SAMPLERS:
         assert [done for done, _ in seen] == list(range(1, len(seen) + 1))
         assert len({of for _, of in seen}) == 1
+
+
+def test_a_fit_says_how_far_the_model_is_from_the_recordings(gaussian_problem):
+    """Ten times less noise told than there is: the squared misfit is a hundred times the noise's."""
+    quiet = replace(gaussian_problem, noise=gaussian_problem.noise / 10)
+    tree = get_method("laplace").fit(quiet, 0, num_samples=100)
+    assert 60 < tree.attrs["noise_inflation"] < 150 and "times their noise" in misfit(tree)

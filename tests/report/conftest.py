@@ -181,14 +181,13 @@ def _screening(rng: np.random.Generator, verdict: str) -> xr.Dataset:
     names = ["coulomb_friction", "stribeck_friction", "sensor_bias", *(f"effect_{i}" for i in range(40))]
     evidence = np.concatenate([[484.0, 480.1, 9.0], -rng.gamma(2, 1, 40)])
     probability = np.concatenate([[0.97, 0.02, 0.0], np.full(40, 1e-6)])
-    explains = np.concatenate([[0.78, 0.781, 0.004], np.full(40, -0.001)])
     if verdict == "no_mismatch":
-        evidence, probability, explains = evidence * 0 - 1.3, probability * 0 + 0.001, explains * 0
+        evidence, probability = evidence * 0 - 1.3, probability * 0 + 0.001
     kinds = ["joint", "joint", "sensor"] + ["joint"] * 40
     elements = ["wrist", "wrist", "qpos/wrist"] + ["shoulder"] * 40
     size = ["0.31 N m", "0.30 N m", "0.9 mrad"] + [""] * 40
     columns = {"name": names, "kind": kinds, "element": elements, "size": size}
-    columns |= {"log_evidence": evidence, "probability": probability, "explains": explains}
+    columns |= {"log_evidence": evidence, "probability": probability}
     return xr.Dataset({key: ("candidate", value) for key, value in columns.items()})
 
 
