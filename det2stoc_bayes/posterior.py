@@ -129,8 +129,8 @@ def misfit(tree: xr.DataTree) -> str:
     if inflation < MOST_INFLATION:
         return ""
     return (
-        f"the recordings depart from the likeliest fit by {np.sqrt(inflation):.3g} times their noise: intervals hold only "
-        "if the model is right, and this speaks against it; `det2stoc diagnose` looks for what it leaves out"
+        f"the recordings depart from the likeliest fit by {np.sqrt(inflation):.3g} times their noise: intervals hold "
+        "only if the model is right, and this speaks against it; `det2stoc diagnose` looks for what it leaves out"
     )
 
 
