@@ -5,7 +5,7 @@ UV_VERSION := 0.13.8
 BIN := .venv/bin
 READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
 
-.PHONY: help test lint format demo bench real clean
+.PHONY: help test lint format demo bench real stripped clean
 NAMES := pendulum_multiarm servo_xl330 ball_drops
 .DELETE_ON_ERROR:
 
@@ -16,6 +16,7 @@ help:
 	@echo "make format  let ruff put the files in shape"
 	@echo "make bench   the benchmarks"
 	@echo "make real    diagnose real recordings: STUDIES=folder NAMES=\"one two\""
+	@echo "make stripped  the same without a documented piece of their models"
 	@echo "make clean   remove .venv and caches; results in out/ stay"
 
 test: lint
@@ -35,10 +36,13 @@ demo: $(READY)
 
 bench: $(READY)
 	@UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --group bench --python $(BIN)/python
-	@for file in $(filter-out benchmarks/real.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python "$$file" || exit 1; done
+	@for file in $(filter-out benchmarks/real.py benchmarks/stripped.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python "$$file" || exit 1; done
 
 real: $(READY)
 	@$(BIN)/python benchmarks/real.py $(if $(STUDIES),--studies $(STUDIES)) $(NAMES)
+
+stripped: $(READY)
+	@$(BIN)/python benchmarks/stripped.py $(if $(STUDIES),--studies $(STUDIES))
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis build dist
