@@ -42,7 +42,7 @@ real: $(READY)
 	@$(BIN)/python benchmarks/real.py $(if $(STUDIES),--studies $(STUDIES)) $(NAMES)
 
 stripped: $(READY)
-	@$(BIN)/python benchmarks/stripped.py $(if $(STUDIES),--studies $(STUDIES))
+	@$(BIN)/python benchmarks/stripped.py $(if $(STUDIES),--studies $(STUDIES)) $(NAMES)
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis build dist

@@ -80,25 +80,28 @@ def found(line: Mapping[str, Any], piece: Piece) -> bool:
 def main() -> int:
     """Diagnose studies of a folder without a documented piece."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("names", nargs="*", choices=[[], *PIECES], help="studies to run; all of them if none is named")
+    parser.add_argument("names", nargs="*", help=f"studies to run, of {', '.join(PIECES)}; all if none is named")
     parser.add_argument("--studies", type=Path, default=STUDIES, help="folder of studies")
     options = parser.parse_args()
-    chosen = [name for name in options.names or PIECES if (options.studies / name / "study.toml").is_file()]
-    if not chosen:
-        print(f"{options.studies}: none of the studies is there: {', '.join(PIECES)}", file=sys.stderr)
+    chosen, missed = options.names or list(PIECES), 0
+    absent = [n for n in chosen if n not in PIECES or not (options.studies / n / "study.toml").is_file()]
+    if absent:
+        print(f"{options.studies}: no such study: {', '.join(absent)}; allowed: {', '.join(PIECES)}", file=sys.stderr)
         return 2
     LOG.parent.mkdir(exist_ok=True)
     print("| study | taken out | found | what is said | seconds |\n|---|---|---|---|---|")
     for name in chosen:
         piece = PIECES[name]
         with tempfile.TemporaryDirectory() as folder:
-            line = diagnosed(strip(options.studies / name, piece, Path(folder) / "study")) | {"study": name}
+            line = diagnosed(strip(options.studies / name, piece, Path(folder) / "study"))
+        line |= {"study": name, "piece": piece.says, "found": found(line, piece)}
+        missed += not line["found"]
         with LOG.open("a", encoding="utf-8") as log:
             log.write(json.dumps(line) + "\n")
-        yes = "yes" if found(line, piece) else "no"
+        yes = "yes" if line["found"] else "no"
         said = line.get("summary", line["verdict"])
         print(f"| {name} | {piece.says} | {yes} | {said} | {line['seconds']:.0f} |", flush=True)
-    return 0
+    return int(missed > 0)
 
 
 if __name__ == "__main__":

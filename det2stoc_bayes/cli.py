@@ -83,8 +83,8 @@ def fit(
         tree = verbs.fit(believed, method, **options)
         rows, path = summarize(tree), out / "fit.nc"
         posterior.save(tree, path)
-        if method != "prior" and (misfit := posterior.misfit(tree)):
-            warnings.warn(misfit, StudyWarning, stacklevel=1)
+        if told := posterior.misfit(tree):
+            warnings.warn(told, StudyWarning, stacklevel=1)
     title = f"{believed.name}, {method}: {num_samples} draws in {path}"
     shown = tables.fit_json(rows, tree.attrs, str(path)) if as_json else tables.fit_table(rows, title)
     _show(shown, as_json)

@@ -223,7 +223,7 @@ def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> lis
     for lin, step in zip(linear, steps, strict=True):
         # Starts alone come last: when the step itself is bad, the starts can still be improved.
         way = lin.latent.best_start(lin.stacked)
-        alone = [Point(lin.point.z, lin.problem.moved(lin.point.start, f * way)) for f in (1.0, *FRACTIONS)]
+        alone = [Point(lin.point.z, lin.problem.moved(lin.point.start, f * way)) for f in (1.0, *FRACTIONS, 0.0)]
         points = [*(_moved(lin, step, fraction) for fraction in FRACTIONS), *alone]
         tried.append(points)
         start = Start(*(np.concatenate([getattr(p.start, a) for p in points]) for a in ("qpos", "qvel", "act")))
@@ -242,8 +242,9 @@ def _lowest(
     predicted: Float[np.ndarray, "points segments samples columns"],
     s2: float,
 ) -> tuple[Point, Float[np.ndarray, "segments samples columns"], float]:
-    """The best point, its prediction and height. Where the unknowns stay, every segment takes the start that it likes:
-    one that overshoots does not hold the others back.
+    """The best point, its prediction and height.
+
+    Where the unknowns stay, each segment takes its own best start: one that overshoots does not hold the others back.
     """
     problem, count = lin.problem, lin.problem.segments.count
     r = problem.residuals(predicted.reshape(-1, *predicted.shape[2:])).reshape(len(points), count, -1)
@@ -254,7 +255,7 @@ def _lowest(
     which = first + np.argmin(misfit[first:], axis=0)
     own = {a: np.stack([getattr(p.start, a) for p in points])[which, segments] for a in ("qpos", "qvel", "act")}
     mixed = misfit[which, segments].sum()
-    heights = [*(m.sum() / s2 + p.z @ p.z for m, p in zip(misfit[:first], points[:first], strict=True))]
+    heights = [m.sum() / s2 + p.z @ p.z for m, p in zip(misfit[:first], points[:first], strict=True)]
     heights.append(mixed / s2 + lin.point.z @ lin.point.z)
     i = int(np.argmin(heights))
     if i < first:

@@ -37,8 +37,10 @@ PACKAGES = (
 GROUPS = ("posterior", "unconstrained_posterior", "sample_stats", "observed_data", "log_likelihood")
 ATTRIBUTES = (
     "method", "options", "seed", "versions", "seconds_compile", "seconds_run", "simulations", "gradients",
+    "noise_inflation",
 )  # fmt: skip
-MOST_INFLATION = 1.5  # of the noise's variance: beyond it the model leaves something out
+MODEL_ERROR = 1.5  # times the noise's variance: beyond it the model leaves something out
+CHANCE = 3.0  # sds of chi2
 Progress = Callable[[int, int], None]  # done, of how many
 
 
@@ -109,28 +111,29 @@ def build(
         "seconds_run": cost.seconds_run,
         "simulations": cost.simulations,
         "gradients": cost.gradients,
-        "noise_inflation": _inflation(density, float(log_likelihood.sum(-1).max())),
+        "noise_inflation": _inflation(density),
     }
     return tree
 
 
-def _inflation(density: Density, highest: float) -> float:
-    """Squared residual of the likeliest draw over what the noise alone would leave: 1 under the right model."""
+def _inflation(density: Density) -> float:
+    """Squared misfit at the mode over what the noise would leave, less chance; NaN where noise was not declared."""
     problem, latent = density.problem, density.latent
-    starts = problem.segments.count * latent.prior_sd.shape[1]
-    free = max(latent.num_observed - starts - problem.size, 1)
-    chi2 = 2 * (float(density.normalizer.sum()) - highest) / density.temper
-    return max(chi2, 0.0) / problem.measurement.mean_square / free
+    if any(c not in problem.simulator.study.noise for c in problem.segments.columns):
+        return float("nan")
+    chi2 = float(np.square(density.projected(density.center[None])).sum()) / density.temper
+    free = max(latent.num_observed - problem.segments.count * latent.prior_sd.shape[1] - problem.size, 1)
+    return max(chi2 / problem.measurement.mean_square / free - CHANCE * np.sqrt(2 / free), 0.0)
 
 
 def misfit(tree: xr.DataTree) -> str:
-    """That the model cannot follow the recordings, in a sentence; empty where it can."""
-    inflation = tree.attrs.get("noise_inflation", 1.0)
-    if inflation < MOST_INFLATION:
+    """That the model cannot follow the recordings, in a sentence; empty where it can, or noise was not declared."""
+    inflation = tree.attrs.get("noise_inflation", 0.0)
+    if not inflation >= MODEL_ERROR:
         return ""
     return (
-        f"the recordings depart from the likeliest fit by {np.sqrt(inflation):.3g} times their noise: intervals hold "
-        "only if the model is right, and this speaks against it; `det2stoc diagnose` looks for what it leaves out"
+        f"the model's squared misfit of the recordings is {inflation:.3g} times what their noise explains: intervals "
+        "hold only if the model is right, and this speaks against it; `det2stoc diagnose` looks for what it leaves out"
     )
 
 

@@ -17,7 +17,9 @@ from det2stoc_bayes.recording_files import Table, read_csv, read_parquet
 from det2stoc_bayes.recording_glitches import glitches
 from det2stoc_bayes.suggestions import choices
 
-MOST_NORM_ERROR = 1e-2  # of a quaternion: rounding is normalised away, more is a mistake
+MOST_NORM_ERROR = 0.05  # of a quaternion: noise is normalised away, more is a glitch or a mistake
+GLITCH_NORMS = (0.5, 2.0)  # between which single samples are glitches
+MOST_GLITCHES = 0.02  # of the samples
 LARGEST = 1e12  # of a number, in SI units
 MOST_BYTES = 1_000_000_000  # of a file: its numbers are held in memory at once
 BEYOND = 0.05  # of a joint's range: what soft limits and noise may exceed it by
@@ -64,7 +66,7 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
     for column in table.header:
         if np.isnan(table.column(column)).all():
             raise table.fail(f"column {column}: found no value at all; allowed: numbers (leave the column out)")
-        huge = np.flatnonzero(np.abs(table.column(column)) > LARGEST)
+        huge = np.flatnonzero(np.abs(table.column(column)) > LARGEST) if column != "time" else []
         if len(huge):
             value = float(table.column(column)[huge[0]])
             raise table.fail(f"column {column}: found {value!r}; allowed: at most {LARGEST:g} in size", int(huge[0]))
@@ -151,7 +153,12 @@ def _normalise_quaternions(
         parts, shown = [columns.index(c) for c in group], f"{group[0]} to /{group[-1].rpartition('/')[2]}"
         norm = np.sqrt((values[:, parts] ** 2).sum(axis=1))
         wrong = np.flatnonzero(np.abs(norm - 1) > MOST_NORM_ERROR)
-        if len(wrong):
+        odd = [i for i in wrong if GLITCH_NORMS[0] < norm[i] < GLITCH_NORMS[1]]
+        if 0 < len(odd) == len(wrong) <= MOST_GLITCHES * len(norm):
+            lines = listing((str(table.lines[int(i)]) for i in wrong), 5)
+            _tell(f"{table.label}: {shown}: no unit quaternion, treated as dropped: {table.unit} {lines}")
+            values[np.ix_(wrong, parts)], norm[wrong] = np.nan, np.nan
+        elif len(wrong):
             raise table.fail(
                 f"columns {shown}: found a quaternion of norm {norm[wrong[0]]:.6g}; allowed: 1 "
                 f"within {MOST_NORM_ERROR:g}",

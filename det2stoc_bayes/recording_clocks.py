@@ -9,6 +9,7 @@ from det2stoc_bayes.errors import StudyError
 from det2stoc_bayes.recording import Recording, StudyWarning
 
 MOST_STEPS = 20_000_000  # of the model: hours for one simulation
+MOST_STEPS_A_SAMPLE = 1000
 ANOTHER_RATE = 100.0  # times faster or slower than the others
 
 
@@ -27,4 +28,7 @@ def check_clocks(recordings: Sequence[Recording], timestep: float) -> None:
         step = float(np.median(steps))
         if not 1 / ANOTHER_RATE < step / usual < ANOTHER_RATE:
             message = f"{label}: a sample every {step:.4g} s, usually every {usual:.4g} s (is it in seconds?)"
+            warnings.warn(message, StudyWarning, stacklevel=3)
+        elif step > MOST_STEPS_A_SAMPLE * timestep:
+            message = f"{label}: a sample every {step:.4g} s, {step / timestep:.3g} of the model's steps (seconds?)"
             warnings.warn(message, StudyWarning, stacklevel=3)

@@ -91,7 +91,11 @@ def fit_json(
     rows: Sequence["det2stoc_bayes.report.summary.Row"], attributes: Mapping[Any, Any], path: str
 ) -> dict[str, Any]:
     """A fit's summary, and where the whole of it is."""
-    about = {k: attributes[k] for k in ("method", "engine", "seed", "seconds_run", "simulations") if k in attributes}
+    about = {
+        k: attributes[k]
+        for k in ("method", "engine", "seed", "seconds_run", "simulations", "noise_inflation")
+        if k in attributes
+    }
     return about | {"file": path, "parameters": [vars(r) for r in rows]}
 
 

@@ -8,7 +8,7 @@ from conftest import make_study, model_xml
 from simulated import PENDULUM, SPRING, dense_evidence, fit, noise_table, place, pose, recordings, spring_problem
 
 from det2stoc_bayes import optimize
-from det2stoc_bayes.linearization import Point, linearize, start_point
+from det2stoc_bayes.linearization import linearize, start_point
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.optimize import fit_many
 from det2stoc_bayes.segments import cut
@@ -52,20 +52,18 @@ def test_known_parameters_are_found(pendulum):
         assert sd < 0.02 * true  # measured: 0.14 % and 0.21 %: it says something
 
 
-def test_a_segment_that_overshoots_does_not_hold_the_others_back(pendulum):
-    """With the unknowns where they are, each start goes the share of its way that serves it best."""
+@pytest.mark.parametrize("share", [-1.0, -30.0])
+def test_a_segment_that_overshoots_does_not_hold_the_others_back(pendulum, share, monkeypatch):
+    """Nothing lowers the second segment on its way, which leads away: it stays, and the first one goes on."""
     here = start_point(pendulum)
     lin = linearize([(pendulum, here)])[0]
-    way = lin.latent.best_start(lin.stacked) * [[1.0], [-1.0]]  # the second one leads away
-    shares = (*[0.0] * len(optimize.FRACTIONS), 1.0, 0.4, 0.1, 0.0)
-    points = [Point(here.z, pendulum.moved(here.start, share * way)) for share in shares]
-    predicted = np.stack([pendulum.simulator.rollout(pendulum.request(p.z[None], p.start)) for p in points])
-    found, path, height = optimize._lowest(lin, points, predicted, 1.0)
-    np.testing.assert_allclose(found.start.qpos, [points[3].start.qpos[0], here.start.qpos[1]])
-    np.testing.assert_array_equal(path, np.stack([predicted[3, 0], predicted[-1, 1]]))
-    assert height == pytest.approx(optimize._height(lin.about(found, path), 1.0)) and height < optimize._height(
-        lin, 1.0
-    )
+    way = lin.latent.best_start(lin.stacked) * [[1.0], [share]]
+    monkeypatch.setattr(type(lin.latent), "best_start", lambda *_: way)
+    step = optimize._Step(np.zeros(pendulum.size), 1.0, 1.0)
+    (found,) = optimize._line_search([lin], [step])
+    np.testing.assert_array_equal(found.point.start.qpos[1], here.start.qpos[1])
+    before, after = ((f.stacked[..., 0] ** 2).sum(1) for f in (lin, found))
+    assert after[0] < 0.9 * before[0] and after[1] == pytest.approx(before[1])
 
 
 @pytest.mark.parametrize("louder", [1, 300])  # with the louder noise the prior matters as much as the data

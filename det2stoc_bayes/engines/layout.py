@@ -15,6 +15,8 @@ HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _ROTATIONAL = ("qw", "qx", "qy", "qz", "wx", "wy", "wz")
 
+LONGEST_BEND = 10  # steps before the first one over which three steps' curvature says something
+
 
 @dataclass(frozen=True)
 class ColumnAddress:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from det2stoc_bayes.engines import drive
-from det2stoc_bayes.engines.layout import column_address
+from det2stoc_bayes.engines.layout import LONGEST_BEND, column_address
 from det2stoc_bayes.engines.mjx_constants import ancestor_matrix, derived_constants
 from det2stoc_bayes.engines.mjx_model import braking, with_limits, with_tiny
 from det2stoc_bayes.engines.mjx_support import check_effect, check_fields, check_supported
@@ -264,9 +264,10 @@ def _get(model, name: str):
 
 
 def _interpolate(values: Float[Array, "steps *k"], at: Float[Array, " samples"]) -> Float[Array, "samples *k"]:
-    """As in the C engine: linear between steps, before the first one along the parabola through the first three."""
+    """As in the C engine."""
     low = jnp.clip(jnp.floor(jax.lax.stop_gradient(at)).astype(int), 0, len(values) - 2)
-    share, before = (jnp.expand_dims(x, tuple(range(1, values.ndim))) for x in (at - low, jnp.minimum(at, 0.0)))
+    wide = tuple(range(1, values.ndim))
+    share, before = jnp.expand_dims(at - low, wide), jnp.expand_dims(jnp.clip(at, -LONGEST_BEND, 0.0), wide)
     out = (1 - share) * values[low] + share * values[low + 1]
     if len(values) < 3:
         return out

@@ -91,9 +91,12 @@ def compile_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
         raise ModelError(f"{path.name}: the model is an MJCF file; allowed: .xml")
     _refuse_outside(path, (folder or path.parent).resolve())
     try:
-        return mujoco.MjModel.from_xml_path(str(path))
+        model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise ModelError(f"{path.name}: does not compile: {'; '.join(str(error).split(chr(10)))}") from error
+    if not model.opt.timestep > 0:
+        raise ModelError(f"{path.name}: option timestep: found {model.opt.timestep:g}; allowed: more than 0 s")
+    return model
 
 
 def compile_loose_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Trajectory
-from det2stoc_bayes.engines.layout import column_address
+from det2stoc_bayes.engines.layout import LONGEST_BEND, column_address
 from det2stoc_bayes.engines.mujoco_steps import Stepper, is_stepped
 from det2stoc_bayes.segments import TIME_SLACK
 
@@ -184,9 +184,9 @@ def _restrict(e: EffectRows, rows: slice) -> EffectRows | None:
 def _interpolate(
     values: Float[np.ndarray, "sims steps k"], at: Float[np.ndarray, "sims samples"]
 ) -> Float[np.ndarray, "sims samples k"]:
-    """Linear between steps; before the first one along the parabola through the first three.
+    """Linear between steps; before the first one, where a delayed sensor looks, along the first three's parabola.
 
-    There a delayed sensor shows what was before the recording began.
+    Farther back the parabola's bend stops: a start's transient would be blown up.
     """
     nearest = np.rint(at)
     at = np.where(np.abs(at - nearest) < TIME_SLACK * 10, nearest, at)
@@ -195,7 +195,7 @@ def _interpolate(
     rows = np.arange(len(values))[:, None]
     out = (1 - share) * values[rows, low] + share * values[rows, low + 1]
     if values.shape[1] > 2 and (at < 0).any():
-        before = np.minimum(at, 0.0)[..., None]
+        before = np.clip(at, -LONGEST_BEND, 0.0)[..., None]
         bend = values[:, 2] - 2 * values[:, 1] + values[:, 0]
         out += 0.5 * before * (before - 1) * bend[:, None]
     return out

@@ -28,7 +28,6 @@ FEWEST, MOST = 128, 1024  # exact evaluations a round; powers of two, for Sobol'
 DEGREES = 5  # of freedom of the proposal
 NUM_ROUNDS = 3  # of which the later ones adapt
 NUM_PARTICLES = 512
-KERNEL = 0.9  # of Silverman's rule, in posterior sds
 SPARE = 8  # times as many draws of a Gaussian as are kept, so that some are within the walls
 
 LogDensity = Callable[[Float[np.ndarray, "points size"]], Float[np.ndarray, " points"]]
@@ -188,26 +187,7 @@ class _Weighted:
         at = (np.arange(num_draws) + random.random()) / num_draws
         chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), at)
         chosen = random.permutation(np.minimum(chosen, len(weights) - 1))
-        z = self._spread(chosen, weights / weights.sum(), random, fit.problem.floor)
-        return Belief(fit, self.density, z, self.terms[chosen], method, self.k_hat, len(self.x))
-
-    def _spread(
-        self, chosen: np.ndarray, weights: np.ndarray, random: np.random.Generator, floor: np.ndarray
-    ) -> Float[np.ndarray, "draws size"]:
-        """Draws about the chosen points: a normal kernel that shrinks to the mean first, so that moments stay.
-
-        Few evaluations would give many equal draws (M. West, J. R. Statist. Soc. B 55, 1993, sec. 2).
-        """
-        width = KERNEL * (1 / (weights**2).sum()) ** -0.2
-        if not weights.max() < 0.5 or len(chosen) <= 1 / (weights**2).sum():
-            return self.z[chosen]
-        mean = weights @ self.x
-        apart = np.sqrt(weights)[:, None] * (self.x - mean)
-        root = np.linalg.cholesky(apart.T @ apart + 1e-12 * np.eye(self.x.shape[1]))
-        normal = random.standard_normal((len(chosen), self.x.shape[1]))
-        x = mean + np.sqrt(1 - width**2) * (self.x[chosen] - mean) + width * normal @ root.T
-        z = self.coordinates(x)[0]
-        return np.where((z >= floor).all(1)[:, None], z, self.z[chosen])
+        return Belief(fit, self.density, self.z[chosen], self.terms[chosen], method, self.k_hat, len(self.x))
 
     def tempered(self, fit: Fit, temper: Temper, num_draws: int) -> Belief:
         """Particles of the last proposal, tempered to the posterior."""

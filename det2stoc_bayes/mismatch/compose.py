@@ -16,6 +16,7 @@ from det2stoc_bayes.mismatch.statements import alternatives, draws, element, fin
 from det2stoc_bayes.mismatch.where import Condition
 
 UNLIKELY = 0.01  # tail probability under its prior at which a psi is said to lie far out
+SEEN = 0.005  # change of an error that is told
 PACKAGES = ("det2stoc-bayes", "mujoco", "numpy", "scipy")
 
 
@@ -203,12 +204,13 @@ def _shares(effects: tuple[finding.Effect, ...]) -> list[dict]:
 
 
 def _drop(fit: finding.Fit, them: str) -> str:
-    """By how much each column's held-out error falls; empty where none does."""
-    pairs = zip(fit.rollout_rmse_after.values(), fit.rollout_rmse_before.values(), strict=True)
-    drops = [1 - a / b for a, b in pairs if a is not None and b]
-    if not drops or max(drops) <= 0:
+    """By how much columns' held-out errors fall, and where one rises; empty where nothing changes."""
+    before, after = fit.rollout_rmse_before, fit.rollout_rmse_after
+    drops = {c: 1 - a / b for c in before if (b := before[c]) and (a := after.get(c)) is not None}
+    falls = sorted(d for d in drops.values() if d >= SEEN)
+    if not falls:
         return ""
-    low, high = (f"{max(d, 0.0):.0%}" for d in (min(drops), max(drops)))
-    if low == high:
-        return f"With {them} the held-out error falls by {high}."
-    return f"With {them} the held-out error falls by {low} to {high}, depending on the column."
+    low, high = f"{falls[0]:.0%}", f"{falls[-1]:.0%}"
+    many = f"{low} to {high}, depending on the column" if low != high else high
+    rises = ", ".join(f"that of {c} rises by {-d:.0%}" for c, d in drops.items() if d <= -SEEN)
+    return f"With {them} the held-out error falls by {many}{f'; {rises}' if rises else ''}."

@@ -236,14 +236,14 @@ def measure(model, data, columns):
 
 
 def at_time(states, now_time, now, time, source, index):
-    """A column's value at another time: linear between steps, before the first along the first three's parabola."""
+    """A column's value at another time: linear between steps; before the first along three steps' parabola at first."""
     past = [s for s in states if s[0] < now_time - 1e-9] + [(now_time, now)]
     if len(past) == 1 or time[0] == now_time:
         return now[source][index : index + 1]
     times, values = np.array([t for t, _ in past]), np.array([a[source][index] for _, a in past])
     k = int(np.clip(np.searchsorted(times, time[0]) - 1, 0, len(times) - 2))
     share = (time - times[k]) / (times[k + 1] - times[k])
-    bend = 0.5 * np.diff(values[:3], 2).sum() * np.minimum(share, 0.0) * (share - 1)
+    bend = 0.5 * np.diff(values[:3], 2).sum() * (b := np.clip(share, -10, 0)) * (b - 1)
     return (1 - share) * values[k] + share * values[k + 1] + bend
 
 

@@ -8,9 +8,6 @@ import xarray as xr
 from det2stoc_bayes.report import numbers
 
 BADGES = {"mismatch": "Mismatch found", "no_mismatch": "No mismatch found", "inconclusive": "Inconclusive"}
-"""Nats of log evidence above which a candidate is called significant."""
-
-
 PEOPLE = {"coulomb": "Coulomb", "stribeck": "Stribeck", "magnus": "Magnus"}
 
 
@@ -70,7 +67,7 @@ def improvement(fit: Mapping[str, Any], units: Mapping[str, str]) -> list[dict[s
 
 
 def screening_rows(fit: xr.DataTree) -> list[dict[str, Any]]:
-    """The screened candidates by probability, then log evidence; those that do not count are marked."""
+    """The screened candidates by probability, then log evidence."""
     if "screening" not in fit:
         return []
     table = fit["screening"].to_dataset()

@@ -98,7 +98,10 @@ def _density(draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     mean = float(draws.mean())
     if np.ptp(draws) <= 1e-9 * abs(mean):
         return np.array([mean, mean]), np.array([0.0, 1.0])
-    x, height = array_stats.kde(draws)[:2]
+    # Few weighted points give many equal draws, which a bandwidth that counts them all would show as spikes.
+    distinct = len(np.unique(draws))
+    equal = {"bw": 0.9 * float(draws.std()) * distinct**-0.2} if distinct < len(draws) else {}
+    x, height = array_stats.kde(draws, **equal)[:2]
     return x[::2], height[::2]
 
 

@@ -153,7 +153,7 @@ def test_reproduces_the_engine(tmp_path, form, integrator):
     folder = tmp_path / "model"
     study = make_study(folder, model_xml(ARM_TIP, MOTORS + SENSORS, option=AIR.format(integrator)))
     on, effect = place_form(Simulator(study).model, form), FORMS[form]
-    # What a late column shows first precedes the start: the engine follows the slope, a caller holds.
+    # What a late column shows first precedes the start: the engine follows the parabola, a caller holds.
     first = 3 if effect.uses("sample_time") else 0
     patch = check_reproduced(tmp_path, [(on, VALUES[form])], integrator, first)
     in_model = effect.changes and effect.changes != ("opt.timestep",)
@@ -191,7 +191,7 @@ def test_many_effects_at_once(tmp_path, integrator):
         ("armature", {"inertia": 0.02}),
     ]
     late = [(LateColumn(), {"delay": 0.0253})]
-    # At first a late column shows what precedes the start: the engine knows the slope, a caller not yet.
+    # At first a late column shows what precedes the start: the engine knows the parabola, a caller not yet.
     check_reproduced(tmp_path, [(CATALOGUE[n], v) for n, v in effects] + late, integrator, first=1)
 
 
