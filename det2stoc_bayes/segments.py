@@ -45,18 +45,39 @@ class Segments:
     def commands(
         self, which: Int[np.ndarray, " rows"], timestep: float, num_steps: int, num_before: int = 0
     ) -> Float[np.ndarray, "rows steps ctrl"]:
-        """The held command at every step of some segments, `num_before` steps before their start included.
+        """The held command's mean over every step of some segments, `num_before` steps before their start included.
 
-        A command takes effect at the first step at or after its time; before the first sample the first is held.
+        A command that comes within a step counts for what is left of it; before the first sample the first is held.
         """
-        offsets = (np.arange(num_steps + num_before) - num_before) * timestep + TIME_SLACK * timestep
+        offsets = (np.arange(num_steps + num_before) - num_before) * timestep
         out = np.empty((len(which), len(offsets), self.recordings[0].ctrl.shape[1]))
         owner = self.recording[which]
         for r in np.unique(owner):
-            rows = np.flatnonzero(owner == r)
-            held = np.searchsorted(self.recordings[r].time, self.time[which[rows], :1] + offsets, side="right") - 1
-            out[rows] = self.recordings[r].ctrl[np.clip(held, 0, None)]
+            rows, record = np.flatnonzero(owner == r), self.recordings[r]
+            begins = self.time[which[rows], :1] + offsets
+            phase = (record.time - begins[0, 0]) / timestep
+            if (np.abs(phase - np.rint(phase)) > TIME_SLACK).any():
+                out[rows] = _means(record, begins, timestep)
+            else:
+                held = np.searchsorted(record.time, begins + TIME_SLACK * timestep, side="right") - 1
+                out[rows] = record.ctrl[np.clip(held, 0, None)]
         return out
+
+
+def _means(
+    recording: Recording, begins: Float[np.ndarray, "rows steps"], timestep: float
+) -> Float[np.ndarray, "rows steps ctrl"]:
+    """Means of the held commands over steps, by their integral."""
+    low, high = begins.min() - timestep, begins.max() + 2 * timestep
+    time = np.concatenate([[min(low, recording.time[0])], recording.time, [max(high, recording.time[-1])]])
+    ctrl = np.concatenate([recording.ctrl[:1], recording.ctrl])
+    integral = np.concatenate([np.zeros((1, ctrl.shape[1])), np.cumsum(ctrl * np.diff(time)[:, None], axis=0)])
+    out = np.empty((*begins.shape, ctrl.shape[1]))
+    for j in range(ctrl.shape[1]):
+        out[..., j] = (
+            np.interp(begins + timestep, time, integral[:, j]) - np.interp(begins, time, integral[:, j])
+        ) / timestep
+    return out
 
 
 def all_columns(recordings: Sequence[Recording]) -> tuple[str, ...]:

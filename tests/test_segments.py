@@ -81,11 +81,11 @@ def test_steps_reach_the_last_sample(last, timestep, expected):
     assert cut([record("a", [0.0, last])]).steps(timestep).tolist() == [expected]
 
 
-def test_commands_are_held_from_the_first_step_at_or_after_their_time():
+def test_a_command_within_a_step_counts_for_what_is_left_of_it():
     segments = cut([record("a", [0.0, 0.1, 0.15, 0.31, 0.4])])
     held = segments.commands(np.array([0]), 0.1, 5, 2)[0, :, 0]
-    #         before   0.0 0.1 0.2 0.3 0.4; that of 0.31 would first act at 0.4, as does that of 0.4
-    np.testing.assert_array_equal(held, [0, 0, 0, 1, 2, 2, 4])
+    #          before  0.0  0.1  0.2  0.3 and 0.4
+    np.testing.assert_allclose(held, [0, 0, 0, 1.5, 2, 2.9, 4], rtol=0, atol=1e-12)
 
 
 def test_commands_before_a_later_segment_are_those_recorded_before_it():

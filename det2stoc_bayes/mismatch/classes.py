@@ -9,6 +9,7 @@ from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, probabilities, whitene
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 
 AGREEMENT = 0.3  # noise sds (rms) within which predictions agree
+SIGMAS = 2.0  # by which the recordings could tell two predictions apart at most: below it nothing is told
 LIKELIHOOD = 1.0  # nats within which the best fits agree
 
 
@@ -47,7 +48,10 @@ def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
 def _alike(a: Ranked, b: Ranked, share: float) -> bool:
     """Whether the likelihoods differ by less than chance and the predictions by less than the noise."""
     s2 = max(min(a.fit.noise_scale, b.fit.noise_scale), 1.0)
+    apart = (whitened(a.fit) - whitened(b.fit)) ** 2 / s2
+    if share * np.nansum(apart) < SIGMAS**2:
+        return True
     more = abs(a.placed.size - b.placed.size)  # parameters; each gains half a nat by chance, seldom more than two
     if 0.5 * share * abs(a.fit.chi2 - b.fit.chi2) / s2 > LIKELIHOOD * (1 + 2 * more):
         return False
-    return float(np.sqrt(np.nanmean((whitened(a.fit) - whitened(b.fit)) ** 2) / s2)) < AGREEMENT
+    return float(np.sqrt(np.nanmean(apart))) < AGREEMENT
