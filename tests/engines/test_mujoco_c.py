@@ -168,17 +168,18 @@ def test_samples_between_steps_are_interpolated(compiled):
     np.testing.assert_allclose(out, expected, atol=1e-13)
 
 
-def test_a_command_takes_effect_at_the_first_step_at_or_after_its_time(compiled):
+def test_a_command_within_a_step_counts_for_what_is_left_of_it(compiled):
     model = compiled(ARM, MOTORS)
     time = np.array([0.0, 0.004, 0.0101, 0.0199, 0.03])
     ctrl = np.random.default_rng(2).standard_normal((5, 2))
     out = MujocoC(model).rollout(request(model, time, [0.1, 0.2], [0.0, 0.0], ctrl=ctrl))[0]
 
-    steps = {0: 0, 2: 1, 6: 2, 10: 3, 15: 4}  # step -> sample whose command starts there
+    held = np.repeat([0, 1, 2, 3, 4], [2, 3, 5, 5, 1])  # at each step, but for what comes within it
+    mixed = {5: 0.05 * ctrl[1] + 0.95 * ctrl[2], 9: 0.95 * ctrl[2] + 0.05 * ctrl[3]}
 
     def by_step(t):
         k = round(t / 0.002)
-        return ctrl[max(v for s, v in steps.items() if s <= k)]
+        return mixed.get(k, ctrl[held[k]])
 
     states = stepped(model, [0.1, 0.2], [0.0, 0.0], 15, by_step)
     expected = np.stack([np.interp(time, np.arange(16) * 0.002, states[:, j]) for j in (0, 2, 1, 3)], 1)

@@ -6,6 +6,8 @@ from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, normal,
 from det2stoc_bayes.mismatch.effects.body import BodyEffect
 from det2stoc_bayes.priors import Prior
 
+REACH = 2.5  # radii of gyration from a body's frame within which a payload is looked for first
+
 
 class MassError(BodyEffect):
     """The body is heavier or lighter than believed, inertia scaled along."""
@@ -94,12 +96,14 @@ class PayloadMass(BodyEffect):
         ]
 
     def combine(self, trial, coefficients, typical):
-        """Masses add up, and their centre is the payload's."""
+        """Masses add up, and so do first moments.
+
+        Where an uncertain mass of the body takes the payload's, the moment stays: it is then within reach of the body.
+        """
         mass, offsets = trial.columns[0]["mass"], np.array([column["offset"] for column in trial.columns])
-        total, reach = float(np.sum(coefficients)) * mass, 4 * typical.span
-        centre = mass * coefficients @ offsets / total if total > 0 else np.zeros(3)
-        offset = np.clip(centre, -reach, reach)
-        return {"mass": max(total, mass), "offset": offset}
+        moment = mass * coefficients @ offsets
+        total = max(float(np.sum(coefficients)) * mass, np.linalg.norm(moment) / (REACH * typical.span), mass)
+        return {"mass": total, "offset": moment / total}
 
     def fields(self, p, fields, at, xp):
         """Mass, centre, principal moments and axes of the two together."""
