@@ -34,6 +34,11 @@ class LatentStarts:
         return int((self.weight > 0).sum())
 
     @property
+    def degrees_of_freedom(self) -> int:
+        """Recorded values less those that the initial states use up."""
+        return max(self.num_observed - self.prior_sd.size, 1)
+
+    @property
     def log_normalizer(self) -> float:
         """-1/2 log det(2 pi (R + A P A')), summed over segments; for R of a normal measurement."""
         return float(self.log_normalizers.sum())

@@ -39,7 +39,7 @@ class Linearization:
     @property
     def degrees_of_freedom(self) -> int:
         """Recorded values less those that the initial states use up."""
-        return max(self.latent.num_observed - self.problem.segments.count * self.latent.prior_sd.shape[1], 1)
+        return self.latent.degrees_of_freedom
 
     def about(self, point: Point, predicted: np.ndarray) -> "Linearization | None":
         """The same sensitivities to psi about another point, whose prediction is known; None where it diverged."""

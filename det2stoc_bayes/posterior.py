@@ -20,6 +20,8 @@ from xarray import DataTree as DataTree  # what every method returns; only here 
 from det2stoc_bayes.density import Density, log_prior
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import replacing
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
+from det2stoc_bayes.mismatch.heldout import CHANCE
 from det2stoc_bayes.problem import Problem
 
 PACKAGES = (
@@ -39,8 +41,6 @@ ATTRIBUTES = (
     "method", "options", "seed", "versions", "seconds_compile", "seconds_run", "simulations", "gradients",
     "noise_inflation",
 )  # fmt: skip
-MODEL_ERROR = 1.5  # times the noise's variance: beyond it the model leaves something out
-CHANCE = 3.0  # sds of chi2
 Progress = Callable[[int, int], None]  # done, of how many
 
 
@@ -118,11 +118,11 @@ def build(
 
 def _inflation(density: Density) -> float:
     """Squared misfit at the mode over what the noise would leave, less chance; NaN where noise was not declared."""
-    problem, latent = density.problem, density.latent
+    problem = density.problem
     if any(c not in problem.simulator.study.noise for c in problem.segments.columns):
         return float("nan")
     chi2 = float(np.square(density.projected(density.center[None])).sum()) / density.temper
-    free = max(latent.num_observed - problem.segments.count * latent.prior_sd.shape[1] - problem.size, 1)
+    free = max(density.latent.degrees_of_freedom - problem.size, 1)
     return max(chi2 / problem.measurement.mean_square / free - CHANCE * np.sqrt(2 / free), 0.0)
 
 

@@ -33,11 +33,11 @@ class Chunk:
         self.which, self.segments = request.which[rows], request.segments
         self.effects = [e for e in (_restrict(e, rows) for e in request.effects) if e is not None]
         self.addresses = [column_address(model, c) for c in self.segments.columns]
-        self.body_forces = any(e.placed.effect.uses("body_force") for e in self.effects)
         self.fields: dict[str, np.ndarray] = {}  # that simulations have for themselves
         self.stepped = any(is_stepped(e) for e in self.effects)
         # Stages kept between steps spare the Euler integrators a second computation of places; RK4 starts anew anyway.
-        kept = self.body_forces and model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
+        pushed = any(e.placed.effect.uses("body_force") for e in self.effects)
+        kept = pushed and model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
         self.batch = mujoco.batch.Batch(model, self.count, threads, persistent=kept)
 
     def run(self, states: bool) -> Trajectory:
