@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.crossed import others_exist
+from det2stoc_bayes.mismatch.crossed import chances, others_exist
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, probabilities, whitened
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 
@@ -30,10 +31,7 @@ def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
     nothing by them counts for the class, but only the smallest are its members.
     """
     left = list(slot.ranked)
-    # Under model error it was other recordings that asked for an effect, and they know none that does without.
-    needed = bool(left) and min(r.fit.noise_inflation for r in left) >= MODEL_ERROR and others_exist(slot.base)
-    chances = probabilities([r.gain for r in left], num_candidates, needed=needed)
-    chance = dict(zip((id(r) for r in left), chances, strict=True))
+    chance = dict(zip((id(r) for r in left), _chances(slot, num_candidates), strict=True))
     found = []
     while left:
         best = left[0]
@@ -43,6 +41,17 @@ def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
         members = sorted((r for r in alike if r.placed.size == smallest), key=lambda r: r.placed.effect.complexity)
         found.append(Class(tuple(members), tuple(alike), float(sum(chance[id(r)] for r in alike))))
     return sorted(found, key=lambda c: -c.probability)
+
+
+def _chances(slot: Slot, num_candidates: int) -> Float[np.ndarray, " ranked"]:
+    """By evidence; under model error, which makes any difference certain, by how other recordings are told.
+
+    Those asked for the effect, too, and know none that does without.
+    """
+    fits = [r.fit for r in slot.ranked]
+    if fits and min(f.noise_inflation for f in fits) >= MODEL_ERROR and others_exist(slot.base):
+        return chances(fits)
+    return probabilities([r.gain for r in slot.ranked], num_candidates)
 
 
 def _alike(a: Ranked, b: Ranked, share: float) -> bool:

@@ -1,6 +1,6 @@
 """Hypotheses refitted without some recordings, and how they tell those."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -9,11 +9,13 @@ from jaxtyping import Float
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.heldout import foretold
+from det2stoc_bayes.mismatch.race import tolerance
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.segments import from_pieces
 
 TOLERANCE = 0.3  # nats
 FOLDS = 2
+NUM_BOOTSTRAPS = 4000
 
 
 def refitted_without(
@@ -34,13 +36,13 @@ def refitted_without(
 
 
 @lru_cache(maxsize=16)
-def unseen(fit: Fit, tolerance: float) -> float:
+def unseen(fit: Fit) -> dict[str, float]:
     """Whitened squared error of rollouts of recordings that were not fitted: held-out ones, or halves left out in turn.
 
     Initial states come from the samples before: fitted to all samples they would take up what the model lacks.
     """
     holdout = fit.problem.simulator.study.holdout
-    return foretold(fit, fit.point.z, holdout) if holdout else crossed(fit, tolerance)
+    return foretold(fit, fit.point.z, holdout) if holdout else crossed(fit)
 
 
 def others_exist(fit: Fit) -> bool:
@@ -48,11 +50,27 @@ def others_exist(fit: Fit) -> bool:
     return bool(fit.problem.simulator.study.holdout) or len(fit.problem.segments.recordings) >= FOLDS
 
 
-def crossed(fit: Fit, tolerance: float) -> float:
+def crossed(fit: Fit) -> dict[str, float]:
     """Whitened squared error of rollouts of every recording under unknowns fitted to other ones, in FOLDS folds."""
-    recordings, total = fit.problem.segments.recordings, 0.0
+    recordings = fit.problem.segments.recordings
+    errors: dict[str, float] = {}
     for k in range(FOLDS):
         left = recordings[k::FOLDS]
-        z = refitted_without(fit, {r.name for r in left}, tolerance=tolerance, max_iterations=3)
-        total += foretold(fit, z, left)
-    return total
+        z = refitted_without(fit, {r.name for r in left}, tolerance=tolerance(fit), max_iterations=3)
+        errors |= foretold(fit, z, left)
+    return errors
+
+
+def untold(fit: Fit) -> float:
+    """What a fit leaves of recordings that were not fitted, in all."""
+    return sum(unseen(fit).values())
+
+
+def chances(fits: Sequence[Fit]) -> Float[np.ndarray, " fits"]:
+    """Probability of each fit to tell recordings like these best: the Bayesian bootstrap over them (Rubin, 1981)."""
+    errors = [unseen(f) for f in fits]
+    names = list(errors[0])
+    table = np.array([[e[name] for name in names] for e in errors])
+    weights = np.random.default_rng(0).dirichlet(np.ones(len(names)), NUM_BOOTSTRAPS)
+    best = np.argmin(weights @ table.T, axis=1)
+    return np.bincount(best, minlength=len(fits)) / NUM_BOOTSTRAPS

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from det2stoc_bayes.optimize import Fit
 
 MODEL_ERROR = 1.5  # noise inflation beyond which residuals are taken to be model error, correlated in time
+CHANCE = 3.0  # standard deviations of chi2 by which an error exceeds noise by chance
 PRIOR_OF_NONE = 0.5  # probability before the data that nothing more was left out
 
 
@@ -16,6 +17,11 @@ def whitened(fit: Fit) -> Float[np.ndarray, "segments samples columns"]:
     lin, segments = fit.linear, fit.problem.segments
     r = lin.latent.project(lin.stacked)[:, : fit.problem.weight.shape[1], 0].reshape(segments.values.shape)
     return np.where(segments.observed, r, np.nan)
+
+
+def by_chance(fit: Fit) -> bool:
+    """Whether noise alone may well have made what a fit leaves."""
+    return bool(fit.noise_inflation - 1 < CHANCE * np.sqrt(2 / fit.linear.degrees_of_freedom))
 
 
 def effective_share(fit: Fit) -> float:
@@ -71,16 +77,12 @@ def log_det(matrix: np.ndarray) -> float:
     return float(np.linalg.slogdet(matrix)[1]) if matrix.size else 0.0
 
 
-def probabilities(
-    gains: Sequence[float], num_candidates: int, *, needed: bool = False
-) -> Float[np.ndarray, " hypotheses"]:
+def probabilities(gains: Sequence[float], num_candidates: int) -> Float[np.ndarray, " hypotheses"]:
     """Posterior probability of each hypothesis, given log evidence gains over none; what is left is none's.
 
-    Every one of `num_candidates` candidates, refined or not, has the same share of 1 - PRIOR_OF_NONE; `needed` says
-    that none is out of the question.
+    Every one of `num_candidates` candidates, refined or not, has the same share of 1 - PRIOR_OF_NONE.
     """
     prior = np.log((1 - PRIOR_OF_NONE) / max(num_candidates, 1))
-    none = -np.inf if needed and len(gains) else np.log(PRIOR_OF_NONE)
-    logits = np.array([none, *(prior + np.asarray(gains, float))])
+    logits = np.array([np.log(PRIOR_OF_NONE), *(prior + np.asarray(gains, float))])
     weights = np.exp(logits - logits.max())
     return (weights / weights.sum())[1:]

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.crossed import others_exist, unseen
+from det2stoc_bayes.mismatch.crossed import others_exist, untold
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_told
-from det2stoc_bayes.mismatch.heldout import CHANCE, NEGLIGIBLE
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_told
+from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE
 from det2stoc_bayes.mismatch.horizon import extend
+from det2stoc_bayes.mismatch.kin import with_kin
 from det2stoc_bayes.mismatch.race import (
     PROMISING,
     Progress,
@@ -20,7 +21,6 @@ from det2stoc_bayes.mismatch.race import (
     look_again,
     refine_pairs,
     threshold,
-    tolerance,
 )
 from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without
 from det2stoc_bayes.optimize import Fit
@@ -57,7 +57,7 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         pool = [c for c in pool if c not in useless]
         first = look_again(first, pool, progress)
         grown, again = _grow(first, pool, threshold(count), progress)
-        if others_exist(kept) and _untold(kept) <= _untold(grown):
+        if others_exist(kept) and untold(kept) <= untold(grown):
             grown = kept
             break
         lean = again
@@ -67,8 +67,11 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
     if len(grown.problem.effects) == 1 and bare is before:
         own = next((r for r in first.ranked if r.placed == grown.problem.effects[0]), None)
         if own is not None:  # a later effect, left alone once the first was dropped, may not be there
-            slot = replace(first, ranked=_rivals(own, first.ranked))
-            return Explanation(before, grown, (slot,), count, effective_share(grown))
+            slot = _with_rivals(first, own)
+            best = slot.ranked[0]
+            return Explanation(
+                before, best.fit if _ahead(best, own) else grown, (slot,), count, effective_share(best.fit)
+            )
     if len(grown.problem.effects) == 1:
         own = grown.problem.effects[0]
         pool, lean = _promising(first, own) or pool, {own: bare}
@@ -94,9 +97,14 @@ def _judged(
         own = grown.problem.effects[i]
         slots[i] = _judge(grown, i, lean.get(own), pool, progress)
         best, present = slots[i].ranked[0], next(r for r in slots[i].ranked if r.placed == own)
-        if best.gain > present.gain + CLEARLY and best.placed not in grown.problem.effects and swaps < MAX_EFFECTS:
+        if _ahead(best, present) and best.placed not in grown.problem.effects and swaps < MAX_EFFECTS:
             grown, lean, slots, swaps = swap(grown, i, best), {}, {i: slots[i]}, swaps + 1
     return grown, tuple(slots[i] for i in range(len(slots)))
+
+
+def _ahead(rival: Ranked, present: Ranked) -> bool:
+    """Whether a rival takes an effect's place."""
+    return bool(rival.gain > present.gain + CLEARLY)
 
 
 def _bare(before: Fit, grown: Fit) -> Fit:
@@ -141,18 +149,18 @@ def _better(slot: Slot, needed: float, believed: Fit) -> Fit | None:
             if _earns(f, [single[e] for e in f.problem.effects[-2:] if e in single] + alone[:1], base, needed):
                 return f
         return next(iter(alone), None)
-    price = NEGLIGIBLE * _untold(believed)
+    price = NEGLIGIBLE * untold(believed)
     first = len(base.problem.effects)
-    scores = [_untold(f) + price * (len(f.problem.effects) - first) for f in (base, *contenders)]
+    scores = [untold(f) + price * (len(f.problem.effects) - first) for f in (base, *contenders)]
     best = int(np.argmin(scores))
     return contenders[best - 1] if best else None
 
 
 def _enough(fit: Fit, believed: Fit) -> bool:
     """Whether what is left is chance, or within the noise and negligible beside the believed model's misfit."""
-    left, chance = fit.noise_inflation - 1, CHANCE * np.sqrt(2 / fit.linear.degrees_of_freedom)
+    left = fit.noise_inflation - 1
     small = fit.noise_inflation < MODEL_ERROR and left < NEGLIGIBLE * (believed.noise_inflation - 1)
-    return bool(small or left < chance)
+    return small or by_chance(fit)
 
 
 def _without_useless(
@@ -166,23 +174,18 @@ def _without_useless(
     if not grown.problem.effects or grown.noise_inflation < MODEL_ERROR or not others_exist(grown):
         return grown, lean, useless
     bare = _bare(before, grown)
-    believed = _untold(bare)
+    believed = untold(bare)
     while effects := grown.problem.effects:
-        one, whole = len(effects) == 1, _untold(grown)
+        one, whole = len(effects) == 1, untold(grown)
         rest = {e: bare if one else lean.get(e) or without(grown, i) for i, e in enumerate(effects)}
         # A fit that cannot do without the effect is the same fit.
-        told = {e: 1.0 if f is grown else (_untold(f) - whole) / believed for e, f in rest.items()}
+        told = {e: 1.0 if f is grown else (untold(f) - whole) / believed for e, f in rest.items()}
         worst = min(effects, key=lambda e: told[e])
         if told[worst] >= NEGLIGIBLE:
             return grown, rest, useless
         grown, lean = rest[worst], {}
         useless.add(worst)
     return grown, lean, useless
-
-
-def _untold(fit: Fit) -> float:
-    """What a fit leaves of recordings that were not fitted."""
-    return unseen(fit, tolerance(fit))
 
 
 def _earns(both: Fit, alone: Sequence[Fit], base: Fit, needed: float) -> bool:
@@ -202,7 +205,12 @@ def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], p
     base = slot.base
     own = Ranked(final.problem.effects[i], reordered(final, i), 0.0)
     own = replace(own, gain=gain(base, own.fit, effective_share(final)))
-    return replace(slot, ranked=_rivals(own, slot.ranked))
+    return _with_rivals(slot, own)
+
+
+def _with_rivals(slot: Slot, own: Ranked) -> Slot:
+    """What could stand in an effect's place, those that predict the same fitted from where it ended."""
+    return replace(slot, ranked=_rivals(own, with_kin(slot, own).ranked))
 
 
 def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
@@ -212,8 +220,8 @@ def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
     """
     rest = [r for r in ranked if r.placed != own.placed]
     if own.fit.noise_inflation >= MODEL_ERROR and others_exist(own.fit):
-        score = (1 + NEGLIGIBLE) * _untold(own.fit)
-        rest = [r for r in rest if r.gain < own.gain - AHEAD or _untold(r.fit) < score]
+        score = (1 + NEGLIGIBLE) * untold(own.fit)
+        rest = [r for r in rest if r.gain < own.gain - AHEAD or untold(r.fit) < score]
     return tuple(sorted([own, *rest], key=lambda r: -r.gain))
 
 

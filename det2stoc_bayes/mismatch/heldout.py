@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from det2stoc_bayes.linearization import Linearization
+from det2stoc_bayes.mismatch.evidence import CHANCE
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.recording import Recording
@@ -17,7 +18,6 @@ WARM_UP = 0.1  # of a stretch: the samples from which its initial state is estim
 LEAST_WARM_UP = 10  # samples
 ALIKE = 1.5  # times as long: recordings that are simulated together
 NEGLIGIBLE = 0.05  # of the held-out squared error beyond noise
-CHANCE = 3.0  # standard deviations of chi2 by which the held-out error exceeds noise by chance
 DIVERGED = 1e6  # whitened squared error a value at which a diverged rollout is counted
 
 
@@ -82,21 +82,22 @@ class _Score:
     rollout: Float[np.ndarray, "samples columns"]
 
 
-def foretold(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> float:
-    """Whitened squared error of rollouts from states that are estimated from the samples before."""
-    return sum(_foretold(fit, z, group) for group in _together(recordings))
+def foretold(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> dict[str, float]:
+    """Each recording's whitened squared error of rollouts from states that are estimated from the samples before."""
+    return {name: e for group in _together(recordings) for name, e in _foretold(fit, z, group).items()}
 
 
-def _foretold(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> float:
+def _foretold(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> dict[str, float]:
     problem, posed = _posed(fit, z, recordings)
-    predicted = _rollout(problem, posed)
+    segments, predicted = problem.segments, _rollout(problem, posed)
     if not np.isfinite(predicted).all():
         if len(recordings) > 1:
-            return sum(_foretold(fit, z, (r,)) for r in recordings)
-        return DIVERGED * float(problem.segments.observed.sum())
-    error = problem.residuals(predicted).reshape(problem.segments.values.shape)
-    whitened = problem.measurement.bend(np.where(_counted(problem.segments), error / problem.noise, 0.0))
-    return float((whitened**2).sum())
+            return {name: e for r in recordings for name, e in _foretold(fit, z, (r,)).items()}
+        return {r.name: DIVERGED * float(segments.observed.sum()) for r in recordings}
+    error = problem.residuals(predicted).reshape(segments.values.shape)
+    whitened = problem.measurement.bend(np.where(_counted(segments), error / problem.noise, 0.0))
+    squares = np.bincount(segments.recording, (whitened**2).sum((1, 2)), len(recordings))
+    return {r.name: float(e) for r, e in zip(segments.recordings, squares, strict=True)}
 
 
 def _together(recordings: Sequence[Recording]) -> list[tuple[Recording, ...]]:

@@ -132,7 +132,7 @@ def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = 
     on = [(f.problem, f.point) for f in racing]
     further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
     better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None}
-    return [f for f in (better.get(id(f), f) for f in fits) if _allowed(f, first)]
+    return [f for f in (better.get(id(f), f) for f in fits) if allowed(f, first)]
 
 
 def gain(base: Fit, fit: Fit, share: float) -> float:
@@ -145,7 +145,7 @@ def tolerance(fit: Fit) -> float:
     return SETTLED / effective_share(fit)
 
 
-def _allowed(fit: Fit, first: int) -> bool:
+def allowed(fit: Fit, first: int) -> bool:
     """Whether no parameter of the effects from `first` on ended at the wall that keeps it positive."""
     begin = fit.problem.num_psi + sum(e.size for e in fit.problem.effects[:first])
     return bool((fit.point.z > fit.problem.floor + AT_WALL)[begin:].all())

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from simulated import fit, place, spring_problem
 
+from det2stoc_bayes.mismatch import crossed
 from det2stoc_bayes.mismatch.classes import classes
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_evidence, probabilities
@@ -98,3 +99,18 @@ def test_more_parameters_that_gain_nothing_count_for_the_smaller(slot):
 
 def test_nothing_ranked_is_no_class(slot):
     assert classes(replace(slot, ranked=()), 20, 1.0) == []
+
+
+def test_under_model_error_recordings_are_drawn_anew(slot, monkeypatch):
+    """Errors of 4 recordings are told better in 3 by one: by the Dirichlet's closed form, for equal differences."""
+    told = {}
+    monkeypatch.setattr(crossed, "unseen", lambda f: dict(zip("abcd", told[id(f)], strict=True)))
+    fits = [r.fit for r in slot.ranked[:3]]
+    told |= {id(fits[0]): (1, 1, 1, 2), id(fits[1]): (2, 2, 2, 1), id(fits[2]): (3, 3, 3, 3)}
+    found = crossed.chances(fits)
+    # The second leads where one weight of four, Beta(1, 3), is above 1/2.
+    np.testing.assert_allclose(found, [7 / 8, 1 / 8, 0], atol=3 * np.sqrt(7 / 64 / crossed.NUM_BOOTSTRAPS))
+    noisy = [replace(r, fit=replace(r.fit, chi2=100 * r.fit.chi2)) for r in slot.ranked[:3]]
+    told |= {id(r.fit): told[id(f)] for r, f in zip(noisy, fits, strict=True)}
+    parted = classes(replace(slot, ranked=tuple(noisy)), 20, 1.0)
+    assert sum(c.probability for c in parted) == pytest.approx(1.0)

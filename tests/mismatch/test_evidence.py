@@ -120,11 +120,3 @@ def test_probabilities():
     weights = (1 - PRIOR_OF_NONE) / 7 * np.exp(gains)
     np.testing.assert_allclose(probabilities(gains.tolist(), 7), weights / (weights.sum() + PRIOR_OF_NONE))
     assert probabilities([], 0).shape == (0,)
-
-
-def test_where_something_is_needed_none_has_no_share():
-    """Gains below 0 still rank the candidates."""
-    found = probabilities([-3.0, -5.0], 40, needed=True)
-    np.testing.assert_allclose(found, np.exp([0, -2]) / (1 + np.exp(-2)))
-    assert probabilities([-3.0, -5.0], 40).sum() < 0.01
-    assert len(probabilities([], 40, needed=True)) == 0

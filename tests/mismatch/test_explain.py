@@ -8,7 +8,7 @@ from conftest import make_study, model_xml
 from simulated import SPRING, fit, noise_table, place, pose, recordings, spring_problem
 
 from det2stoc_bayes.mismatch import explain as module
-from det2stoc_bayes.mismatch.crossed import crossed
+from det2stoc_bayes.mismatch.crossed import untold
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_evidence
 from det2stoc_bayes.mismatch.explain import explain
@@ -75,7 +75,7 @@ def test_under_a_misfit_beyond_the_noise_other_recordings_decide(drag, monkeypat
     monkeypatch.setattr(module, "refine_pairs", lambda *_: [])
     for scores, chosen in (((3, 2, 5), less_wrong), ((2, 3, 5), wrong), ((4.9, 7, 5), None)):
         of = dict(zip(map(id, (wrong, less_wrong, base)), scores, strict=True))
-        monkeypatch.setattr(module, "unseen", lambda f, _, of=of: of[id(f)])
+        monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
         assert module._better(slot, 10.0, base) is chosen
 
 
@@ -91,8 +91,8 @@ def test_recordings_that_were_left_out_are_told_by_the_right_effect(tmp_path):
     problem = pose(make_study(tmp_path / "study", model_xml(SPRING), toml + noise_table(1e-3, 1e-2), made))
     right = fit(problem.with_effects([place(problem, "quadratic_damping", "slide", SMALL)]))
     values = int(problem.segments.observed.sum())
-    assert abs(crossed(right, 0.1) - values) < 3 * np.sqrt(2 * values)
-    assert crossed(fit(problem), 0.1) > 2 * values
+    assert abs(untold(right) - values) < 3 * np.sqrt(2 * values)
+    assert untold(fit(problem)) > 2 * values
 
 
 def test_of_two_that_tell_the_same_only_one_is_dropped(drag, monkeypatch):
@@ -103,7 +103,7 @@ def test_of_two_that_tell_the_same_only_one_is_dropped(drag, monkeypatch):
     both, one, other = (fit(problem.with_effects(e)) for e in (placed, placed[1:], placed[:1]))
     chi2 = {id(bare): 1000.0, id(both): 400.0, id(one): 410.0, id(other): 412.0}
 
-    monkeypatch.setattr(module, "unseen", lambda f, _: chi2[id(f)])
+    monkeypatch.setattr(module, "untold", lambda f: chi2[id(f)])
     kept, _, useless = module._without_useless(bare, both, dict(zip(placed, (one, other), strict=True)))
     assert kept is one and useless == {placed[0]}
 
@@ -120,7 +120,7 @@ def test_what_tells_other_recordings_worse_is_no_rival_under_a_misfit(drag, monk
     )
     for scores, expected in (((2, 3), (own,)), ((3, 2), (rival, own))):
         of = {id(own.fit): scores[0], id(rival.fit): scores[1]}
-        monkeypatch.setattr(module, "unseen", lambda f, _, of=of: of[id(f)])
+        monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
         assert module._rivals(own, (rival, own)) == expected
 
 
@@ -130,7 +130,7 @@ def test_a_single_recording_has_no_others_to_ask(drag, monkeypatch):
     placed = [place(problem, n, "slide", SMALL) for n in ("coulomb_friction", "viscous_damping")]
     own, rival = (Ranked(e, fit(problem.with_effects([e])), gain) for e, gain in zip(placed, (60.0, 90.0), strict=True))
     monkeypatch.setattr(module, "others_exist", lambda fit: False)
-    monkeypatch.setattr(module, "unseen", lambda *_: pytest.fail("there are no other recordings"))
+    monkeypatch.setattr(module, "untold", lambda *_: pytest.fail("there are no other recordings"))
     assert module._rivals(own, (rival, own)) == (rival, own)
     assert module._without_useless(drag, own.fit, {}) == (own.fit, {}, set())
     monkeypatch.setattr(module, "refine_pairs", lambda *_: [])
@@ -144,5 +144,5 @@ def test_a_rival_that_tells_other_recordings_about_as_well_stays(drag, monkeypat
     own, rival = (Ranked(e, fit(problem.with_effects([e])), gain) for e, gain in zip(placed, (60.0, 59.0), strict=True))
     for score, kept in ((1.02, (own, rival)), (1.5, (own,))):
         of = {id(own.fit): 1.0, id(rival.fit): score}
-        monkeypatch.setattr(module, "unseen", lambda f, _, of=of: of[id(f)])
+        monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
         assert module._rivals(own, (own, rival)) == kept

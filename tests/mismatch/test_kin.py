@@ -1,0 +1,50 @@
+"""Rivals that were missed from afar are found from where an effect ended."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import fit, place, spring_problem
+
+from det2stoc_bayes.linearization import Point
+from det2stoc_bayes.mismatch.effects import Typical
+from det2stoc_bayes.mismatch.evidence import log_evidence
+from det2stoc_bayes.mismatch.kin import with_kin
+from det2stoc_bayes.mismatch.race import Ranked, Slot
+from det2stoc_bayes.mismatch.screen import screen
+from det2stoc_bayes.optimize import fit_many
+
+SMALL = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
+CHOICES = (("quadratic_damping", "slide"), ("quadratic_drag", "block"), ("joint_spring", "slide"))
+
+
+@pytest.fixture(scope="module")
+def drag(tmp_path_factory):
+    """Drag on a sliding mass: its fit, and rivals, one of the same law, that stayed where they began."""
+
+    def push(model, data):
+        data.qfrc_applied[0] = -0.5 * abs(data.qvel[0]) * data.qvel[0]
+
+    problem = spring_problem(tmp_path_factory.mktemp("kin"), push=push, noise=1e-3)
+    base = fit(problem)
+    placed = [place(problem, name, element, SMALL) for name, element in CHOICES]
+    ranked = []
+    for p, iterations in zip(placed, (8, 0, 0), strict=True):
+        start = Point(np.append(base.point.z, 1e-3), base.point.start)
+        found = fit_many([(problem.with_effects([p]), start)], max_iterations=iterations)[0]
+        assert found is not None
+        ranked.append(Ranked(p, found, log_evidence(found) - log_evidence(base)))
+    return Slot(base, tuple(screen(base, placed)), tuple(ranked))
+
+
+def test_a_rival_of_the_same_response_gets_as_far(drag):
+    own, twin, other = drag.ranked
+    assert twin.gain < own.gain - 30  # measured: 40
+    found = {r.placed: r for r in with_kin(drag, own).ranked}
+    assert found[twin.placed].fit.chi2 == pytest.approx(own.fit.chi2, abs=0.1)
+    assert found[other.placed].fit is other.fit  # another law is left alone
+
+
+def test_without_a_response_nothing_is_kin(drag):
+    bare = replace(drag, screened=tuple(replace(s, response=None, others=()) for s in drag.screened))
+    assert with_kin(bare, drag.ranked[0]) is bare
