@@ -9,8 +9,10 @@ import numpy as np
 
 from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.linearization import start_point
+from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.evidence import whitened
 from det2stoc_bayes.mismatch.horizon import LARGEST_ERROR, climb
+from det2stoc_bayes.mismatch.open_equivalences import open_equivalences
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem, make_problem
 from det2stoc_bayes.recording import Recording, StudyWarning
@@ -68,6 +70,8 @@ class Check:
     recordings: tuple[CheckedRecording, ...]
     columns: tuple[CheckedColumn, ...]
     noise_inflation: float  # mean squared whitened residual of the quick fit
+    alike: tuple[tuple[str, ...], ...]  # effects that these recordings could not tell apart, were they there
+    absorbed: tuple[str, ...]  # effects that would pass as psi
 
 
 def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
@@ -87,7 +91,21 @@ def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
     _warn(fit)
     columns = problem.segments.columns
     noise = tuple(CheckedColumn(c, float(sd), c in study.noise) for c, sd in zip(columns, problem.noise, strict=True))
-    return Check(study, _parameters(fit), _recordings(study, misfit), noise, float(fit.noise_inflation))
+    alike, absorbed = _open(fit, progress)
+    rows = _recordings(study, misfit)
+    return Check(study, _parameters(fit), rows, noise, float(fit.noise_inflation), alike, absorbed)
+
+
+def _open(fit: Fit, progress: Progress) -> tuple[tuple[tuple[str, ...], ...], tuple[str, ...]]:
+    """Labels of effects that stay open."""
+    pool, done = candidates(fit.problem), [0]
+
+    def advance(n: int) -> None:
+        done[0] += n
+        progress("comparing effects", done[0], len(pool))
+
+    found = open_equivalences(fit, pool, advance)
+    return tuple(tuple(p.label for p in g) for g in found.groups), tuple(p.label for p in found.absorbed)
 
 
 def _warn(fit: Fit) -> None:

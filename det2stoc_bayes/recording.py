@@ -55,7 +55,8 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
     if path.suffix.lower() not in readers:
         raise StudyError(f"{label}: cannot read a '{path.suffix}' file; allowed: {listing(readers)}")
     if not path.is_file():
-        raise StudyError(f"{label}: no such file; allowed: a .csv or .parquet file")
+        found = "found a folder" if path.is_dir() else "no such file"
+        raise StudyError(f"{label}: {found}; allowed: a .csv or .parquet file")
     if path.stat().st_size > MOST_BYTES:
         raise StudyError(f"{label}: found {path.stat().st_size / 1e9:.1f} GB; allowed: at most {MOST_BYTES / 1e9:g} GB")
     table = readers[path.suffix.lower()](path, label, partial(_check_header, names))

@@ -93,7 +93,7 @@ def find_files(folder: Path, pattern: str, where: str) -> list[Path]:
     if not pattern or Path(pattern).is_absolute() or ".." in Path(pattern).parts:
         raise StudyError(f"{where}: found '{pattern}'; allowed: files within the study's folder, as data/*.csv")
     try:
-        found = sorted(path for path in folder.glob(pattern) if path.is_file())
+        found = sorted(folder.glob(pattern))
     except ValueError as error:
         raise StudyError(f"{where}: found '{pattern}': {error}; allowed: a pattern, as data/*.csv") from error
     return [inside(folder, str(path.relative_to(folder)), where) for path in found]

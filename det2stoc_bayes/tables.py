@@ -63,6 +63,8 @@ def check_json(checked: "det2stoc_bayes.identifiability.Check") -> dict[str, Any
         "recordings": [vars(r) for r in checked.recordings],
         "columns": [vars(c) for c in checked.columns],
         "noise_inflation": checked.noise_inflation,
+        "open_equivalences": checked.alike,
+        "absorbed_by_psi": checked.absorbed,
     }
 
 
@@ -83,7 +85,12 @@ def check_tables(checked: "det2stoc_bayes.identifiability.Check") -> RenderableT
         columns.add_row(escape(c.name), number(c.noise, 3), "given" if c.given else "estimated")
     pairs = {tuple(sorted((p.name, other))) for p in checked.parameters for other in p.entangled}
     notes = [f"{a} and {b} are found together only: one can be traded for the other." for a, b in sorted(pairs)]
-    return _stack([psi, recordings, columns, *(Text(n) for n in notes)])
+    if not checked.parameters:
+        notes.append("The study has no psi: nothing of the model is uncertain.")
+    notes += [f"These recordings could not tell apart: {', '.join(group)}." for group in checked.alike]
+    if checked.absorbed:
+        notes.append(f"What psi would take up, were it there: {', '.join(checked.absorbed)}.")
+    return _stack([*([psi] if checked.parameters else []), recordings, columns, *(Text(n) for n in notes)])
 
 
 # --- fit ------------------------------------------------------------

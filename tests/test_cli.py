@@ -86,7 +86,9 @@ def test_check_says_what_can_be_identified(study):
     assert shown.stderr.splitlines() == [
         "simulating each recording at the prior's median",
         "fitting psi quickly",
+        "comparing effects",
     ]
+    assert "What psi would take up, were it there: viscous_damping on joint hinge" in " ".join(shown.stdout.split())
 
 
 def test_check_as_json(study):
@@ -105,6 +107,8 @@ def test_check_as_json(study):
     ]  # fmt: skip
     assert answer["columns"] == [{"name": "qpos/hinge", "noise": 0.001, "given": True}]
     assert 0.5 < answer["noise_inflation"] < 2.0
+    assert "viscous_damping on joint hinge" in answer["absorbed_by_psi"]
+    assert all(len(group) > 1 for group in answer["open_equivalences"])
 
 
 def test_check_names_parameters_that_can_be_traded(tmp_path):

@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
+from det2stoc_bayes.mismatch.predictive import FAILS
 from det2stoc_bayes.report import numbers
 
 RELIABLE = 0.7  # k-hat
-FAILS = 0.01  # p-value of the predictive check
+SMALLEST = 0.001  # p-value that is told as a number
 WAYS = {
     "laplace": "{draws} draws of the Gaussian at the fit, widened by the misfit that remains",
     "laplace+psis": "{draws} draws of the Gaussian at the fit, weighted by the exact likelihood",
@@ -62,8 +63,9 @@ def _stacked(weights: Mapping[str, float] | None) -> list[str]:
 def _predicted(check: Mapping[str, Any] | None) -> list[str]:
     if not check or check["p_value"] is None:
         return []
-    p = numbers.number(check["p_value"], 2)
-    if check["p_value"] < FAILS:
+    value = check["p_value"]
+    p = f"p = {numbers.number(value, 2)}" if value >= SMALLEST else f"p < {SMALLEST:g}"
+    if value < FAILS:
         where = check["worst_channel"]
-        return [f"Recordings made by this simulator would not leave so large an error on {where} (p = {p})."]
-    return [f"Recordings made by this simulator would leave as large an error (p = {p})."]
+        return [f"Recordings made by this simulator would not leave so large an error on {where} ({p})."]
+    return [f"Recordings made by this simulator would leave as large an error ({p})."]
