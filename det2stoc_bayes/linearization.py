@@ -100,6 +100,38 @@ def linearize(
     return [_assemble(problem, point, p, m) for (problem, point), p, m in zip(points, predicted, moves, strict=True)]
 
 
+def linearize_beside(base: Linearization, points: Sequence[tuple[Problem, Point]]) -> list[Linearization | None]:
+    """The same hypothesis with effects added, roughly: only the effects' own unknowns are moved.
+
+    Sensitivities to the others and to the starts are those of `base`.
+    """
+    requests, moves = [], []
+    for problem, point in points:
+        added = [np.array([i]) for i in range(base.problem.size, problem.size)]
+        moves.append([(moved, problem.nudge(point.z, moved, UNKNOWN_STEP)) for moved in added])
+        z = np.tile(point.z, (1 + len(added), 1))
+        for k, (moved, step) in enumerate(moves[-1]):
+            z[1 + k, moved] += step
+        requests.append(problem.request(z, repeat_start(point.start, 1 + len(added))))
+    out, count = [], base.problem.segments.count
+    for (problem, point), predicted, own in zip(points, simulate(points, requests), moves, strict=True):
+        r = problem.residuals(predicted).reshape(-1, count, problem.weight.shape[1])
+        columns = np.zeros((*r.shape[1:], problem.size))
+        for (moved, step), column in zip(own, np.nan_to_num(r[0] - r[1:]), strict=True):
+            columns[..., moved[0]] = column / step
+        stacked = base.latent.stack(columns)
+        stacked[..., : base.problem.size] = base.columns
+        there = replace(
+            base, problem=problem, point=Point(_padded(base.point.z, point.z), base.point.start), columns=stacked
+        )
+        out.append(there.about(point, predicted[:count]))
+    return out
+
+
+def _padded(z: np.ndarray, longer: np.ndarray) -> np.ndarray:
+    return np.concatenate([z, longer[len(z) :]])
+
+
 def simulate(points, requests) -> list[np.ndarray]:
     merged = merge_requests(requests)
     predicted = points[0][0].simulator.rollout(merged)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from det2stoc_bayes.engines.base import Start
-from det2stoc_bayes.linearization import Linearization, Point, linearize, simulate, tangent
+from det2stoc_bayes.linearization import Linearization, Point, linearize, linearize_beside, simulate, tangent
 from det2stoc_bayes.problem import FARTHEST, Problem
 
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
@@ -75,9 +75,9 @@ def fit_many(
     return fits
 
 
-def sketch(points: Sequence[tuple[Problem, Point]], *, tolerance: float) -> list[Fit | None]:
-    """Roughly `fit_many`, with sensitivities taken but twice."""
-    linear = {i: lin for i, lin in enumerate(linearize(points)) if lin is not None}
+def sketch(base: Fit, points: Sequence[tuple[Problem, Point]], *, tolerance: float) -> list[Fit | None]:
+    """Roughly `fit_many` of a fit with effects added: the fit's own sensitivities serve first, then new ones once."""
+    linear = {i: lin for i, lin in enumerate(linearize_beside(base.linear, points)) if lin is not None}
     first, over = _descended(linear, tolerance, True)
     on = _again({i: lin for i, lin in first.items() if not over[i]})
     linear = first | _descended(on, tolerance, True)[0]

@@ -121,7 +121,7 @@ def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = 
     if not points:
         return []
     first = len(base.problem.effects)
-    fits = [f for f in sketch(points, tolerance=tolerance(base)) if f is not None]
+    fits = [f for f in sketch(base, points, tolerance=tolerance(base)) if f is not None]
     if not fits:
         return []
     share = effective_share(min(fits, key=lambda f: f.chi2))
