@@ -44,10 +44,11 @@ def screen(
     With the fit's own columns beside a trial's, an effect that psi can absorb earns nothing.
     """
     trials: dict[PlacedEffect, list[Screened]] = {}
+    beside = _Beside(fit)
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
     for placed, trial, columns in changes(fit, new, advance):
-        found = _judge(fit, placed, trial, columns)
+        found = beside.judge(placed, trial, columns)
         if found is not None:
             best = sorted([*trials.get(placed, ()), found], key=lambda s: -s.log_evidence)
             trials[placed] = best[: 1 + NUM_OTHERS]
@@ -64,20 +65,30 @@ def _forget(trials: dict[PlacedEffect, list[Screened]]) -> None:
         trials[placed] = [replace(trials[placed][0], response=None)]
 
 
-def _judge(fit: Fit, placed: PlacedEffect, trial: Trial, columns: np.ndarray) -> Screened | None:
-    """Closed-form evidence of [current unknowns, trial coefficients] against the current unknowns alone."""
-    if not np.isfinite(columns).all():
-        return None
-    lin = fit.linear
-    x = lin.latent.project(lin.latent.stack(columns))
-    j, r = lin.latent.project(lin.columns), lin.latent.project(lin.stacked)[..., 0]
-    both = np.concatenate([j, x], -1)
-    gram = np.einsum("snk,snl->kl", both, both)
-    slope = np.einsum("snk,sn->k", both, r)
-    positive = one_sided(placed, trial)
-    found = add(fit, gram, slope, np.full(len(positive), trial.sd), positive)
-    if found is None:  # its sign may be right beside another effect
-        free = add(fit, gram, slope, np.full(len(positive), trial.sd), ~positive & positive)
-        gain = 0.0 if free is None else free.gain
-        return Screened(placed, trial, WRONG_SIGN, gain, np.zeros(len(positive)), np.zeros(lin.problem.size), x)
-    return Screened(placed, trial, found.log_evidence, found.gain, found.coefficients, found.change, x)
+class _Beside:
+    """A fit's normal equations, to which trials are added."""
+
+    def __init__(self, fit: Fit):
+        lin = fit.linear
+        self.fit, self.latent = fit, lin.latent
+        self.error = lin.latent.project(lin.stacked).ravel()
+        self.columns = lin.latent.project(lin.columns).reshape(len(self.error), fit.problem.size)
+        self.gram, self.slope = self.columns.T @ self.columns, self.columns.T @ self.error
+
+    def judge(self, placed: PlacedEffect, trial: Trial, columns: np.ndarray) -> Screened | None:
+        """Closed-form evidence of [current unknowns, trial coefficients] against the current unknowns alone."""
+        if not np.isfinite(columns).all():
+            return None
+        response = self.latent.project(self.latent.stack(columns))
+        x = response.reshape(-1, response.shape[-1])
+        cross = self.columns.T @ x
+        gram = np.block([[self.gram, cross], [cross.T, x.T @ x]])
+        slope = np.concatenate([self.slope, x.T @ self.error])
+        positive, sd = one_sided(placed, trial), np.full(x.shape[1], trial.sd)
+        found = add(self.fit, gram, slope, sd, positive)
+        if found is None:  # its sign may be right beside another effect
+            free = add(self.fit, gram, slope, sd, ~positive & positive)
+            gain, none = 0.0 if free is None else free.gain, np.zeros(len(positive))
+            return Screened(placed, trial, WRONG_SIGN, gain, none, np.zeros(self.fit.problem.size), response)
+        values = found.log_evidence, found.gain, found.coefficients, found.change
+        return Screened(placed, trial, *values, response)
