@@ -122,6 +122,7 @@ def compile_loose_model(path: Path, folder: Path | None = None) -> "mujoco.MjMod
     for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat"):
         getattr(loose, name)[:] = getattr(model, name)
     mujoco.mj_setConst(loose, mujoco.MjData(loose))
+    loose.body_sameframe[1:] = 0  # which mj_setConst finds anew
     same = (np.allclose(getattr(loose, n), getattr(model, n), rtol=0, atol=1e-12) for n in ("body_pos", "qpos0"))
     return loose if loose.nq == model.nq and all(same) else model
 

@@ -312,7 +312,9 @@ def test_a_body_whose_frames_are_one_can_be_changed(tmp_path, form):
     xml, time = model_xml(BALL), np.arange(21) * 0.02
     assert mujoco.MjModel.from_xml_string(xml).body_sameframe[1]
     simulator = Simulator(make_study(tmp_path / "ball", xml), num_threads=1)
+    (body,) = simulator.elements("body", ("qpos/hinge",))
     placed = place_form(simulator.model, form)
+    assert placed.effect.fits(body)  # so that it is a candidate
     segments = cut([blank_recording(simulator.model, time)])
     start = Start(np.full((1, 1), 0.3), np.ones((1, 1)), np.zeros((1, 0)))
     fields = simulator.fields(np.zeros((1, 0)), [""])
