@@ -12,6 +12,7 @@ from det2stoc_bayes.linearization import Linearization, Point, linearize, linear
 from det2stoc_bayes.problem import FARTHEST, Problem
 
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
+STARTS = (1.0, 0.3, 0.05, 0.0)  # of the change of initial states that goes with it
 SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
 NUM_CHORDS = 4  # steps with the same sensitivities
 CONTRACTION = 0.3  # of the last step's gain: a step that promises more needs new sensitivities
@@ -132,7 +133,7 @@ def _descended(
         if not live:
             break
         order = sorted(live)
-        trials = _tried([now[i] for i in order], [_moved(now[i], steps[i], 1.0) for i in order])
+        trials = _tried([now[i] for i in order], [_moved(now[i], steps[i], 1.0)[0] for i in order])
         stuck = []
         for i, lin in zip(order, trials, strict=True):
             last[i] = steps[i].gain
@@ -164,11 +165,12 @@ def _height(lin: Linearization, s2: float) -> float:
     return float((lin.stacked**2).sum()) / s2 + float(lin.point.z @ lin.point.z)
 
 
-def _moved(lin: Linearization, step: _Step, fraction: float) -> Point:
+def _moved(lin: Linearization, step: _Step, fraction: float, starts: Sequence[float] = (1.0,)) -> list[Point]:
+    """The unknowns a fraction on their way, with fractions of the change of the starts that then is best."""
     z = lin.problem.between(lin.point.z, lin.point.z + step.z, fraction)
     seen = lin.columns @ lin.problem.straightened(z, lin.point.z)
     change = lin.latent.best_start(lin.stacked - seen[..., None])
-    return Point(z, lin.problem.moved(lin.point.start, change))
+    return [Point(z, lin.problem.moved(lin.point.start, share * change)) for share in starts]
 
 
 def noise_scale(lin: Linearization, chi2: float, free_scale: bool) -> float:
@@ -218,13 +220,13 @@ def most_probable(
 
 
 def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> list[Linearization | None]:
-    """The best of several fractions of each step by simulation; None where none is an improvement."""
+    """The best of several fractions of each step by simulation; None where none is an improvement.
+
+    At each fraction every segment takes its own best start: one that overshoots does not hold the others back.
+    """
     tried, requests = [], []
     for lin, step in zip(linear, steps, strict=True):
-        # Starts alone come last: when the step itself is bad, the starts can still be improved.
-        way = lin.latent.best_start(lin.stacked)
-        alone = [Point(lin.point.z, lin.problem.moved(lin.point.start, f * way)) for f in (1.0, *FRACTIONS, 0.0)]
-        points = [*(_moved(lin, step, fraction) for fraction in FRACTIONS), *alone]
+        points = [p for fraction in (*FRACTIONS, 0.0) for p in _moved(lin, step, fraction, STARTS)]
         tried.append(points)
         start = Start(*(np.concatenate([getattr(p.start, a) for p in points]) for a in ("qpos", "qvel", "act")))
         requests.append(lin.problem.request(np.stack([p.z for p in points]), start))
@@ -242,25 +244,19 @@ def _lowest(
     predicted: Float[np.ndarray, "points segments samples columns"],
     s2: float,
 ) -> tuple[Point, Float[np.ndarray, "segments samples columns"], float]:
-    """The best point, its prediction and height.
-
-    Where the unknowns stay, each segment takes its own best start: one that overshoots does not hold the others back.
-    """
+    """The best unknowns with each segment's best start, their prediction and height."""
     problem, count = lin.problem, lin.problem.segments.count
     r = problem.residuals(predicted.reshape(-1, *predicted.shape[2:])).reshape(len(points), count, -1)
     misfit = (problem.measurement.bend(r * problem.weight) ** 2).sum(2)
     misfit += np.stack([((tangent(problem, p.start) / problem.guess.prior_sd) ** 2).sum(1) for p in points])
     misfit[~np.isfinite(predicted).all((2, 3))] = np.inf
-    first, segments = len(FRACTIONS), np.arange(count)
-    which = first + np.argmin(misfit[first:], axis=0)
-    own = {a: np.stack([getattr(p.start, a) for p in points])[which, segments] for a in ("qpos", "qvel", "act")}
-    mixed = misfit[which, segments].sum()
-    heights = [m.sum() / s2 + p.z @ p.z for m, p in zip(misfit[:first], points[:first], strict=True)]
-    heights.append(mixed / s2 + lin.point.z @ lin.point.z)
-    i = int(np.argmin(heights))
-    if i < first:
-        return points[i], predicted[i], float(heights[i])
-    return Point(lin.point.z, Start(**own)), predicted[which, segments], float(heights[i])
+    groups = misfit.reshape(-1, len(STARTS), count)
+    z = [p.z for p in points[:: len(STARTS)]]
+    heights = [g.min(0).sum() / s2 + float(x @ x) for g, x in zip(groups, z, strict=True)]
+    i, segments = int(np.argmin(heights)), np.arange(count)
+    which = i * len(STARTS) + np.argmin(groups[i], axis=0)
+    start = (np.stack([getattr(p.start, a) for p in points])[which, segments] for a in ("qpos", "qvel", "act"))
+    return Point(z[i], Start(*start)), predicted[which, segments], float(heights[i])
 
 
 def summarize(lin: Linearization, free_scale: bool, converged: bool) -> Fit:

@@ -20,11 +20,12 @@ if TYPE_CHECKING:
 
     import det2stoc_bayes.linearization
 
-NUM_SAMPLES = 20  # of each segment, from its start
-NUM_STARTS = 16  # tried for each segment
-NUM_KEPT = 4  # of them, by what two steps make of them
-NUM_STEPS = 8
+STAGES = ((8, 12, 6), (12, 6, 6), (20, 1, 8))  # samples from a segment's start, starts kept then, steps before
+STEPS_BEYOND = 3  # with the one start that is left, at every doubling up to the whole segment
+NUM_STARTS, NUM_TURNED = 16, 32  # tried for each segment; where an orientation is unseen
+SPINS = 1.5  # spreads of an orientation's speed
 SHORTER = 0.3  # of a step that is no improvement
+FARTHEST_TURN = 0.5  # rad in one step, or by its change of speed over the samples, of a turn that no column records
 
 type Linearize = Callable[..., "Sequence[det2stoc_bayes.linearization.Linearization | None]"]
 
@@ -37,28 +38,40 @@ def search_starts(problem: Problem, z: Float[np.ndarray, " size"], linearize: Li
     guess = problem.guess
     if guess.seen.all():
         return guess.start
-    n = min(NUM_SAMPLES, problem.segments.time.shape[1])
-    whole = problem.segments
-    short = replace(problem, segments=replace(whole, time=whole.time[:, :n], values=whole.values[:, :n]))
     starts = [problem.moved(guess.start, change) for change in _spread(problem)]
-    descent = _Descent(short, z, starts, linearize)
-    for number in range(NUM_STEPS):
-        descent.step()
-        if number == 1:
-            descent.keep(NUM_KEPT)
-    descent.keep(1)
-    return descent.starts[0]
+    longest = problem.segments.time.shape[1]
+    doublings = max(int(np.ceil(np.log2(longest / STAGES[-1][0]))), 0)
+    beyond = [(STAGES[-1][0] * 2 ** (k + 1), 1, STEPS_BEYOND) for k in range(doublings)]
+    for samples, kept, steps in (*STAGES, *beyond):
+        descent = _Descent(_beginning(problem, samples), z, starts, linearize)
+        for _ in range(steps):
+            descent.step()
+        descent.keep(kept)
+        starts = descent.starts
+    return starts[0]
+
+
+def _beginning(problem: Problem, samples: int) -> Problem:
+    """The same for the first samples of each segment."""
+    whole = problem.segments
+    n = min(samples, whole.time.shape[1])
+    return replace(problem, segments=replace(whole, time=whole.time[:, :n], values=whole.values[:, :n]))
 
 
 def _spread(problem: Problem) -> Float[np.ndarray, "starts segments states"]:
-    """Changes of the guessed starts, none first: positions that were not recorded, evenly over what they can be."""
-    model, seen = problem.simulator.model, problem.guess.seen
-    unseen = np.flatnonzero(~seen)
-    change = np.zeros((NUM_STARTS, problem.segments.count, 2 * model.nv))
-    draws = qmc.Sobol(len(unseen), rng=0).random(NUM_STARTS)
-    for column, v in zip(draws.T, unseen, strict=True):
-        low, high = _reach(model, int(v))
-        change[1:, :, v] = (low + (high - low) * column[1:])[:, None]
+    """Changes of the guessed starts, none first: positions that were not recorded, evenly over what they can be.
+
+    So are speeds of orientations, by which a turning body looks quite different within a few samples.
+    """
+    model, guess = problem.simulator.model, problem.guess
+    unseen = [(int(v), *_reach(model, int(v))) for v in np.flatnonzero(~guess.seen)]
+    spins = [model.nv + v for v, *_ in unseen if _is_orientation(model, v)]
+    unseen += [(v, -SPINS * guess.scale[v], SPINS * guess.scale[v]) for v in spins]
+    count = NUM_TURNED if spins else NUM_STARTS
+    change = np.zeros((count, problem.segments.count, 2 * model.nv))
+    draws = qmc.Sobol(len(unseen), rng=0).random(count)
+    for column, (place, low, high) in zip(draws.T, unseen, strict=True):
+        change[1:, :, place] = (low + (high - low) * column[1:])[:, None]
     return change
 
 
@@ -69,15 +82,33 @@ def _reach(model: "mujoco.MjModel", v: int) -> tuple[float, float]:
     if kind in (2, 3) and model.jnt_limited[joint]:
         low, high = model.jnt_range[joint] - model.qpos0[q]
         return float(low), float(high)
-    slides = kind == 2 or (kind == 0 and v - model.jnt_dofadr[joint] < 3)
-    return (-1.0, 1.0) if slides else (-np.pi, np.pi)
+    return (-np.pi, np.pi) if _turns(model, v) else (-1.0, 1.0)
+
+
+def _farthest(problem: Problem) -> Float[np.ndarray, " states"]:
+    """How far each coordinate may move in one step: where turns are not recorded a linearization reaches but so far."""
+    model, time = problem.simulator.model, problem.segments.time
+    turns = ~problem.guess.seen & np.array([_turns(model, v) for v in range(model.nv)])
+    far = np.where(turns, FARTHEST_TURN, np.inf)
+    return np.concatenate([far, far / max(float(np.median(time[:, -1] - time[:, 0])), 1e-9)])
+
+
+def _turns(model: "mujoco.MjModel", v: int) -> bool:
+    return int(model.jnt_type[model.dof_jntid[v]]) == 3 or _is_orientation(model, v)
+
+
+def _is_orientation(model: "mujoco.MjModel", v: int) -> bool:
+    joint = int(model.dof_jntid[v])
+    kind = int(model.jnt_type[joint])
+    return kind == 1 or (kind == 0 and bool(v - model.jnt_dofadr[joint] >= 3))
 
 
 class _Descent:
     """Gauss-Newton from several starts of every segment at once; a step that is no improvement is shortened."""
 
     def __init__(self, problem: Problem, z: np.ndarray, starts: list[Start], linearize: Linearize):
-        self.problem, self.z, self.starts, self.linearize = problem, z, starts, linearize
+        self.problem, self.z, self.starts, self.linearize = problem, z, list(starts), linearize
+        self.farthest = _farthest(problem)
         shape = (len(starts), problem.segments.count)
         self.tried = list(starts)
         self.height = np.full(shape, np.inf)
@@ -95,7 +126,8 @@ class _Descent:
                 self.starts[k] = _choose([self.starts[k], self.tried[k]], better.astype(int))
             self.height[k] = np.where(better, height, self.height[k])
             self.share[k] = np.where(better, 1.0, SHORTER * self.share[k])
-            self.tried[k] = self.problem.moved(self.starts[k], self.share[k][:, None] * self.way[k])
+            share = np.minimum(self.share[k], 1 / np.max(np.abs(self.way[k]) / self.farthest, axis=1, initial=1.0))
+            self.tried[k] = self.problem.moved(self.starts[k], share[:, None] * self.way[k])
 
     def keep(self, count: int) -> None:
         """Only the best of each segment."""

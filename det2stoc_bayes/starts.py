@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 NUM_NEAR = 9  # samples of the local fit
 TURN = 0.5  # rad: spread of an orientation
+SPIN = 10.0  # rad/s: spread of a turning speed that no column shows
 
 type Series = Mapping[tuple[str, int], Float[np.ndarray, "segments samples"]]
 
@@ -71,6 +72,7 @@ def _turning(time: np.ndarray, series: Series, at: tuple[int, int], qpos, qvel, 
     parts = [series.get(("qpos", q + k)) for k in range(4)]
     scale[v : v + 3] = TURN
     given = [p for p in parts if p is not None]
+    scale[qvel.shape[1] + v : qvel.shape[1] + v + 3] = SPIN
     if len(given) == 4:
         quaternion = np.stack(given, -1)
         rate, middle = _turn_rates(time, quaternion)
