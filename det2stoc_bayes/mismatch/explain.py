@@ -11,15 +11,13 @@ from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_s
 from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.kin import with_kin
+from det2stoc_bayes.mismatch.looks import Looks
 from det2stoc_bayes.mismatch.race import (
     PROMISING,
     Progress,
     Ranked,
     Slot,
     gain,
-    look,
-    look_again,
-    refine_pairs,
     threshold,
 )
 from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without
@@ -48,15 +46,16 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
 
     Where the misfit stays beyond the noise, effects that do not help held-out recordings make room for others.
     """
-    first, count = look(before, pool, progress), len(pool)
-    grown, lean = _grow(first, pool, threshold(count), progress)
+    looks, count = Looks(progress), len(pool)
+    first = looks.at(before, pool)
+    grown, lean = _grow(first, pool, threshold(count), looks)
     for _ in range(MAX_ROUNDS - 1):
         kept, lean, useless = _without_useless(before, grown, lean)
         if not useless:
             break
         pool = [c for c in pool if c not in useless]
-        first = look_again(first, pool, progress)
-        grown, again = _grow(first, pool, threshold(count), progress)
+        first = looks.at(before, pool)
+        grown, again = _grow(first, pool, threshold(count), looks)
         if others_exist(kept) and untold(kept) <= untold(grown):
             grown = kept
             break
@@ -75,7 +74,7 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
     if len(grown.problem.effects) == 1:
         own = grown.problem.effects[0]
         pool, lean = _promising(first, own) or pool, {own: bare}
-    grown, slots = _judged(grown, lean, pool, progress)
+    grown, slots = _judged(grown, lean, pool, looks)
     return Explanation(bare, grown, slots, count, effective_share(grown))
 
 
@@ -87,7 +86,7 @@ def _promising(slot: Slot, own: PlacedEffect) -> list[PlacedEffect]:
 
 
 def _judged(
-    grown: Fit, lean: dict[PlacedEffect, Fit], pool: Sequence[PlacedEffect], progress: Progress
+    grown: Fit, lean: dict[PlacedEffect, Fit], pool: Sequence[PlacedEffect], looks: Looks
 ) -> tuple[Fit, tuple[Slot, ...]]:
     """Every place of the list with what could stand there; what clearly has more evidence takes the place."""
     slots: dict[int, Slot] = {}
@@ -95,7 +94,7 @@ def _judged(
     while stale := [i for i in range(len(grown.problem.effects)) if i not in slots]:
         i = stale[0]
         own = grown.problem.effects[i]
-        slots[i] = _judge(grown, i, lean.get(own), pool, progress)
+        slots[i] = _judge(grown, i, lean.get(own), pool, looks)
         best, present = slots[i].ranked[0], next(r for r in slots[i].ranked if r.placed == own)
         if _ahead(best, present) and best.placed not in grown.problem.effects and swaps < MAX_EFFECTS:
             grown, lean, slots, swaps = swap(grown, i, best), {}, {i: slots[i]}, swaps + 1
@@ -116,21 +115,21 @@ def _bare(before: Fit, grown: Fit) -> Fit:
 
 
 def _grow(
-    first: Slot, pool: Sequence[PlacedEffect], needed: float, progress: Progress
+    first: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks
 ) -> tuple[Fit, dict[PlacedEffect, Fit]]:
     """The best effects one after the other, or two at once; and fits without each of those that stay."""
     slot = first
     while True:
-        better = _better(slot, needed, first.base)
+        better = _better(slot, needed, first.base, looks)
         if better is None:
             return _prune(slot.base, needed)
         better = extend(better)
         if len(better.problem.effects) >= MAX_EFFECTS or _enough(better, first.base):
             return _prune(better, needed)
-        slot = look(better, pool, progress)
+        slot = looks.at(better, pool)
 
 
-def _better(slot: Slot, needed: float, believed: Fit) -> Fit | None:
+def _better(slot: Slot, needed: float, believed: Fit, looks: Looks) -> Fit | None:
     """The next step: the addition, or the two, with most evidence; None where nothing earns its place.
 
     While all contenders leave a misfit beyond the noise, evidence favours what bends to the fitted recordings. Then the
@@ -140,7 +139,7 @@ def _better(slot: Slot, needed: float, believed: Fit) -> Fit | None:
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
     least = needed + max([0.0, *(s.log_evidence for s in slot.screened[:1])])
     room = len(base.problem.effects) + 2 <= MAX_EFFECTS and not (alone and _enough(alone[0], believed))
-    both = refine_pairs(base, slot.screened, least) if room else []
+    both = looks.pairs(base, slot.screened, least) if room else []
     contenders = [*both, *alone[:NUM_CROSSED]]
     if not contenders:
         return None
@@ -199,9 +198,9 @@ def _earns(both: Fit, alone: Sequence[Fit], base: Fit, needed: float) -> bool:
     return bool(min(gains + told) > (needed if alone else 2 * needed))
 
 
-def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
+def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], looks: Looks) -> Slot:
     """What could stand in place i of the list, the other effects staying; the present one competes too."""
-    slot = look(base or without(final, i), pool, progress)
+    slot = looks.at(base or without(final, i), pool)
     base = slot.base
     own = Ranked(final.problem.effects[i], reordered(final, i), 0.0)
     own = replace(own, gain=gain(base, own.fit, effective_share(final)))

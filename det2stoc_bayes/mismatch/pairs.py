@@ -25,6 +25,11 @@ class Pair:
     coefficients: tuple[Float[np.ndarray, "_"], Float[np.ndarray, "_"]]
     change: Float[np.ndarray, " size"]
 
+    @property
+    def key(self) -> frozenset[PlacedEffect]:
+        """The two effects, in no order."""
+        return frozenset(s.placed for s in self.members)
+
 
 def pairs(fit: Fit, screened: Sequence[Screened]) -> list[Pair]:
     """Every pair of the candidates that explain most, best first; wrong-signed ones are left out.

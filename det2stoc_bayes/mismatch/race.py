@@ -92,11 +92,22 @@ def _shortlist(worth: Sequence[Screened]) -> list[Screened]:
     return first
 
 
-def refine_pairs(base: Fit, screened: Sequence[Screened], least: float) -> list[Fit]:
-    """Fits with two additions at once whose screening promises more than `least` nats, best evidence first."""
+def refine_pairs(
+    base: Fit,
+    screened: Sequence[Screened],
+    least: float,
+    known: dict[frozenset[PlacedEffect], Fit | None],
+) -> list[Fit]:
+    """Fits with two additions at once whose screening promises more than `least` nats, best evidence first.
+
+    `known` are pairs that ran beside this fit before, None where they lost; those that run now join them.
+    """
     worth = varied([p for p in pairs(base, screened) if p.log_evidence > least], NUM_PAIRS)
-    points = [_added(base, p.change, list(zip(p.members, p.coefficients, strict=True))) for p in worth]
-    fits = race(base, points, most=NUM_PAIRS // 2)
+    new = [p for p in worth if p.key not in known]
+    points = [_added(base, p.change, list(zip(p.members, p.coefficients, strict=True))) for p in new]
+    found = {frozenset(f.problem.effects[-2:]): f for f in race(base, points, most=NUM_PAIRS // 2)}
+    known |= {p.key: found.get(p.key) for p in new}
+    fits = [f for f in (known[p.key] for p in worth) if f is not None]
     share = effective_share(min(fits, key=lambda f: f.chi2)) if fits else 1.0
     return sorted(fits, key=lambda f: -gain(base, f, share))
 

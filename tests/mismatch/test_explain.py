@@ -8,12 +8,14 @@ from conftest import make_study, model_xml
 from simulated import SPRING, fit, noise_table, place, pose, recordings, spring_problem
 
 from det2stoc_bayes.mismatch import explain as module
+from det2stoc_bayes.mismatch import looks
 from det2stoc_bayes.mismatch.crossed import untold
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_evidence
 from det2stoc_bayes.mismatch.explain import explain
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 
+NO_LOOKS = looks.Looks(lambda *_: None)
 SMALL = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
 
 
@@ -50,7 +52,7 @@ def test_where_nothing_is_left_out_nothing_is_added(tmp_path):
 def test_a_later_effect_that_makes_the_first_needless_has_a_slot_of_its_own(drag, monkeypatch):
     """The first look does not rank the truth; the second adds it, and what was added first is dropped again."""
     truth, wrong = (place(drag.problem, n, "slide", SMALL) for n in ("quadratic_damping", "viscous_damping"))
-    real, calls = module.look, []
+    real, calls = looks.look, []
 
     def blinded(base, pool, progress):
         calls.append(base)
@@ -59,7 +61,7 @@ def test_a_later_effect_that_makes_the_first_needless_has_a_slot_of_its_own(drag
         first = fit(base.problem.with_effects([wrong]))
         return Slot(base, (), (Ranked(wrong, first, log_evidence(first) - log_evidence(base) + 20),))
 
-    monkeypatch.setattr(module, "look", blinded)
+    monkeypatch.setattr(looks, "look", blinded)
     found = explain(drag, pool_of(drag.problem))
     assert found.after.problem.effects == (truth,)
     assert [r.placed for r in found.slots[0].ranked][0] == truth
@@ -72,11 +74,11 @@ def test_under_a_misfit_beyond_the_noise_other_recordings_decide(drag, monkeypat
     wrong, less_wrong = (fit(noisy.with_effects([e])) for e in (friction, damping))
     assert min(wrong.noise_inflation, less_wrong.noise_inflation) > module.MODEL_ERROR
     slot = Slot(base, (), (Ranked(friction, wrong, 90.0), Ranked(damping, less_wrong, 60.0)))
-    monkeypatch.setattr(module, "refine_pairs", lambda *_: [])
+    monkeypatch.setattr(looks, "refine_pairs", lambda *_: [])
     for scores, chosen in (((3, 2, 5), less_wrong), ((2, 3, 5), wrong), ((4.9, 7, 5), None)):
         of = dict(zip(map(id, (wrong, less_wrong, base)), scores, strict=True))
         monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
-        assert module._better(slot, 10.0, base) is chosen
+        assert module._better(slot, 10.0, base, NO_LOOKS) is chosen
 
 
 def test_recordings_that_were_left_out_are_told_by_the_right_effect(tmp_path):
@@ -133,8 +135,8 @@ def test_a_single_recording_has_no_others_to_ask(drag, monkeypatch):
     monkeypatch.setattr(module, "untold", lambda *_: pytest.fail("there are no other recordings"))
     assert module._rivals(own, (rival, own)) == (rival, own)
     assert module._without_useless(drag, own.fit, {}) == (own.fit, {}, set())
-    monkeypatch.setattr(module, "refine_pairs", lambda *_: [])
-    assert module._better(Slot(drag, (), (rival, own)), 10.0, drag) is rival.fit
+    monkeypatch.setattr(looks, "refine_pairs", lambda *_: [])
+    assert module._better(Slot(drag, (), (rival, own)), 10.0, drag, NO_LOOKS) is rival.fit
 
 
 def test_a_rival_that_tells_other_recordings_about_as_well_stays(drag, monkeypatch):
@@ -146,3 +148,16 @@ def test_a_rival_that_tells_other_recordings_about_as_well_stays(drag, monkeypat
         of = {id(own.fit): 1.0, id(rival.fit): score}
         monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
         assert module._rivals(own, (own, rival)) == kept
+
+
+def test_no_look_is_taken_twice(drag, monkeypatch):
+    """With fewer candidates the first look serves; with one more it is taken anew."""
+    pool, calls, real = pool_of(drag.problem), [], looks.look
+    monkeypatch.setattr(looks, "look", lambda base, *rest: calls.append(base) or real(base, *rest))
+    taken = looks.Looks(lambda *_: None)
+    most, fewer = taken.at(drag, pool[:-1]), taken.at(drag, pool[1:-1])
+    assert len(calls) == 1 and pool[0] not in [s.placed for s in fewer.screened]
+    kept = {r.placed: r.fit for r in most.ranked if r.placed != pool[0]}
+    assert all(kept[r.placed] is r.fit for r in fewer.ranked if r.placed in kept)
+    taken.at(drag, pool)
+    assert len(calls) == 2

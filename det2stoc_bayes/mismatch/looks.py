@@ -1,0 +1,36 @@
+"""Looks at what could stand beside a fit, each taken once, however often the search comes by."""
+
+from collections.abc import Sequence
+
+from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.race import Progress, Slot, look, look_again, refine_pairs
+from det2stoc_bayes.mismatch.screen import Screened
+from det2stoc_bayes.optimize import Fit
+
+type Hypothesis = tuple[frozenset[PlacedEffect], int]
+
+
+class Looks:
+    """Slots and pairs by the effects and the segments of the fit that they stand beside."""
+
+    def __init__(self, progress: Progress):
+        self.progress = progress
+        self._slots: dict[Hypothesis, tuple[frozenset[PlacedEffect], Slot]] = {}
+        self._pairs: dict[Hypothesis, dict[frozenset[PlacedEffect], Fit | None]] = {}
+
+    def at(self, base: Fit, pool: Sequence[PlacedEffect]) -> Slot:
+        """Candidates of the pool beside a fit; of a pool that has grown since, beside the fit anew."""
+        seen, known = self._slots.get(_key(base), (frozenset(), None))
+        if known is not None and seen.issuperset(pool):
+            return look_again(known, pool, self.progress)
+        slot = look(base, pool, self.progress)
+        self._slots[_key(base)] = frozenset(pool), slot
+        return slot
+
+    def pairs(self, base: Fit, screened: Sequence[Screened], least: float) -> list[Fit]:
+        """Fits with two additions at once, best first; those that lost a race before do not run again."""
+        return refine_pairs(base, screened, least, self._pairs.setdefault(_key(base), {}))
+
+
+def _key(fit: Fit) -> Hypothesis:
+    return frozenset(fit.problem.effects), fit.problem.segments.count
