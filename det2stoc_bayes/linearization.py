@@ -121,15 +121,10 @@ def linearize_beside(base: Linearization, points: Sequence[tuple[Problem, Point]
             columns[..., moved[0]] = column / step
         stacked = base.latent.stack(columns)
         stacked[..., : base.problem.size] = base.columns
-        there = replace(
-            base, problem=problem, point=Point(_padded(base.point.z, point.z), base.point.start), columns=stacked
-        )
+        z = np.concatenate([base.point.z, point.z[base.problem.size :]])
+        there = replace(base, problem=problem, point=Point(z, base.point.start), columns=stacked)
         out.append(there.about(point, predicted[:count]))
     return out
-
-
-def _padded(z: np.ndarray, longer: np.ndarray) -> np.ndarray:
-    return np.concatenate([z, longer[len(z) :]])
 
 
 def simulate(points, requests) -> list[np.ndarray]:

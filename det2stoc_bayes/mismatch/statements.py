@@ -59,7 +59,7 @@ def _rounded(mean, sd) -> str:
     digits = max(0, 1 - int(np.floor(np.log10(sd)))) if sd > 0 else 3
     if digits > 6 or abs(mean) >= 1e6:
         return f"{mean:.3g} +- {sd:.2g}"
-    return f"{mean:.{digits}f} +- {sd:.{digits}f}"
+    return f"{mean:z.{digits}f} +- {sd:.{digits}f}"
 
 
 def statement(placed: PlacedEffect, values: Mapping[str, finding.Quantity], equivalent: tuple[str, ...]) -> str:
