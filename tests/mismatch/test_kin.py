@@ -39,7 +39,7 @@ def drag(tmp_path_factory):
 
 def test_a_rival_of_the_same_response_gets_as_far(drag):
     own, twin, other = drag.ranked
-    assert twin.gain < own.gain - 30  # measured: 40
+    assert twin.gain < own.gain - 30  # measured: 63
     found = {r.placed: r for r in with_kin(drag, own).ranked}
     assert found[twin.placed].fit.chi2 == pytest.approx(own.fit.chi2, abs=1.0)  # measured: 0.4
     assert found[other.placed].fit is other.fit  # another law is left alone
