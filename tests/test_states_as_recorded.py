@@ -118,7 +118,7 @@ def test_a_turning_body_seen_by_one_of_its_points(tmp_path):
     ball = """<body name="ball" pos="0 0 2"><freejoint name="flight"/>
       <geom size="0.15" mass="0.3" contype="0" conaffinity="0"/><site name="mark" pos="0.15 0 0"/></body>"""
     xml = model_xml(ball, '<sensor><framepos name="mark" objtype="site" objname="mark"/></sensor>')
-    turns = ([6, -9, 12], [-12, 3, 7], [2, 14, -4], [9, 8, 10])
+    turns = ([-12, 3, 7], [9, 8, 10])
     starts = [([0, 0, 2, 1, 0, 0, 0], [1, -0.5, 4, *spin]) for spin in turns]
     made = sensed(xml, starts, 5 * np.arange(100), np.full(3, 1e-3))
     found = climb(pose(make_study(tmp_path / "ball", xml, '[noise]\n"sensor/mark/*" = 1e-3\n', made)))
