@@ -13,6 +13,7 @@ from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.evidence import whitened
 from det2stoc_bayes.mismatch.horizon import LARGEST_ERROR, climb
 from det2stoc_bayes.mismatch.open_equivalences import open_equivalences
+from det2stoc_bayes.mismatch.race import counted
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem, make_problem
 from det2stoc_bayes.recording import Recording, StudyWarning
@@ -98,13 +99,8 @@ def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
 
 def _open(fit: Fit, progress: Progress) -> tuple[tuple[tuple[str, ...], ...], tuple[str, ...]]:
     """Labels of effects that stay open."""
-    pool, done = candidates(fit.problem), [0]
-
-    def advance(n: int) -> None:
-        done[0] += n
-        progress("comparing effects", done[0], len(pool))
-
-    found = open_equivalences(fit, pool, advance)
+    pool = candidates(fit.problem)
+    found = open_equivalences(fit, pool, counted(progress, "comparing effects", len(pool)))
     return tuple(tuple(p.label for p in g) for g in found.groups), tuple(p.label for p in found.absorbed)
 
 

@@ -20,8 +20,7 @@ from xarray import DataTree as DataTree  # what every method returns; only here 
 from det2stoc_bayes.density import Density, log_prior
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import replacing
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
-from det2stoc_bayes.mismatch.heldout import CHANCE
+from det2stoc_bayes.mismatch.evidence import CHANCE, MODEL_ERROR
 from det2stoc_bayes.problem import Problem
 
 PACKAGES = (

@@ -52,11 +52,12 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
     """The recording in a .csv or .parquet file; a StudyError names the line and column of what is wrong."""
     label = f"{path.parent.name}/{path.name}"
     readers = {".csv": read_csv, ".parquet": read_parquet}
+    if path.is_dir():
+        raise StudyError(f"{label}: found a folder; allowed: a .csv or .parquet file")
     if path.suffix.lower() not in readers:
         raise StudyError(f"{label}: cannot read a '{path.suffix}' file; allowed: {listing(readers)}")
     if not path.is_file():
-        found = "found a folder" if path.is_dir() else "no such file"
-        raise StudyError(f"{label}: {found}; allowed: a .csv or .parquet file")
+        raise StudyError(f"{label}: no such file; allowed: a .csv or .parquet file")
     if path.stat().st_size > MOST_BYTES:
         raise StudyError(f"{label}: found {path.stat().st_size / 1e9:.1f} GB; allowed: at most {MOST_BYTES / 1e9:g} GB")
     table = readers[path.suffix.lower()](path, label, partial(_check_header, names))

@@ -13,6 +13,8 @@ from jaxtyping import Float
 from scipy.stats import qmc
 
 from det2stoc_bayes.engines.base import Start
+from det2stoc_bayes.engines.layout import HINGE, SLIDE
+from det2stoc_bayes.engines.state_columns import quaternion_address
 from det2stoc_bayes.problem import Problem
 
 if TYPE_CHECKING:
@@ -79,7 +81,7 @@ def _reach(model: "mujoco.MjModel", v: int) -> tuple[float, float]:
     """How far a coordinate may lie from the model's own position: its range, a whole turn, or a metre."""
     joint = int(model.dof_jntid[v])
     kind, q = int(model.jnt_type[joint]), int(model.jnt_qposadr[joint])
-    if kind in (2, 3) and model.jnt_limited[joint]:
+    if kind in (HINGE, SLIDE) and model.jnt_limited[joint]:
         low, high = model.jnt_range[joint] - model.qpos0[q]
         return float(low), float(high)
     return (-np.pi, np.pi) if _turns(model, v) else (-1.0, 1.0)
@@ -94,13 +96,13 @@ def _farthest(problem: Problem) -> Float[np.ndarray, " states"]:
 
 
 def _turns(model: "mujoco.MjModel", v: int) -> bool:
-    return int(model.jnt_type[model.dof_jntid[v]]) == 3 or _is_orientation(model, v)
+    return int(model.jnt_type[model.dof_jntid[v]]) == HINGE or _is_orientation(model, v)
 
 
 def _is_orientation(model: "mujoco.MjModel", v: int) -> bool:
     joint = int(model.dof_jntid[v])
-    kind = int(model.jnt_type[joint])
-    return kind == 1 or (kind == 0 and bool(v - model.jnt_dofadr[joint] >= 3))
+    turn = quaternion_address(model, joint)
+    return turn is not None and bool(v - model.jnt_dofadr[joint] >= turn - model.jnt_qposadr[joint])
 
 
 class _Descent:

@@ -111,6 +111,11 @@ def test_check_as_json(study):
     assert all(len(group) > 1 for group in answer["open_equivalences"])
 
 
+def test_check_without_psi_says_so(tmp_path):
+    shown = run("check", make_study(tmp_path / "arm", model_xml(HINGE), "", {"swing": _swing()}).folder)
+    assert shown.exit_code == 0 and "The study has no psi" in shown.output
+
+
 def test_check_names_parameters_that_can_be_traded(tmp_path):
     prior = "prior = { LogNormal = { loc = -4.2, scale = 0.3 } }\n"
     toml = f'[psi.rotor]\ntarget = "joint/hinge/armature"\n{prior}'

@@ -163,6 +163,12 @@ def test_other_files_are_refused(tmp_path: Path, name: str, content: bytes | Non
     assert "\n" not in message and name in message and found in message and allowed in message
 
 
+def test_a_folder_named_like_a_recording_is_refused(tmp_path: Path):
+    (tmp_path / "x.csv").mkdir()
+    with pytest.raises(StudyError, match=r"x\.csv: found a folder; allowed: "):
+        read_recording(tmp_path / "x.csv", NAMES)
+
+
 @pytest.mark.parametrize(
     ("column", "found"),
     [(["a", "b"], "found string values"), ([0.0, float("nan")], "row 2: column qpos/slide: found nan")],

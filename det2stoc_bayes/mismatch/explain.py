@@ -67,10 +67,8 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         own = next((r for r in first.ranked if r.placed == grown.problem.effects[0]), None)
         if own is not None:  # a later effect, left alone once the first was dropped, may not be there
             slot = _with_rivals(first, own)
-            best = slot.ranked[0]
-            return Explanation(
-                before, best.fit if _ahead(best, own) else grown, (slot,), count, effective_share(best.fit)
-            )
+            after = slot.ranked[0].fit if _ahead(slot.ranked[0], own) else grown
+            return Explanation(before, after, (slot,), count, effective_share(after))
     if len(grown.problem.effects) == 1:
         own = grown.problem.effects[0]
         pool, lean = _promising(first, own) or pool, {own: bare}

@@ -50,13 +50,20 @@ def threshold(num_candidates: int) -> float:
 
 def look(base: Fit, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
     """Screen every candidate beside a fit and refine those that may earn their place."""
-    count = [0]
+    advance = counted(progress, "screening effects", len(pool))
+    return _refined(base, screen(base, pool, advance), (), len(pool), progress)
+
+
+def counted(progress: Progress, stage: str, total: int) -> Callable[[int], None]:
+    """Tells the progress of one stage by how much more of it is done."""
+    done = 0
 
     def advance(n: int) -> None:
-        count[0] += n
-        progress("screening effects", count[0], len(pool))
+        nonlocal done
+        done += n
+        progress(stage, done, total)
 
-    return _refined(base, screen(base, pool, advance), (), len(pool), progress)
+    return advance
 
 
 def look_again(slot: Slot, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:

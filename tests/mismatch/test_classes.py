@@ -114,3 +114,6 @@ def test_under_model_error_recordings_are_drawn_anew(slot, monkeypatch):
     told |= {id(r.fit): told[id(f)] for r, f in zip(noisy, fits, strict=True)}
     parted = classes(replace(slot, ranked=tuple(noisy)), 20, 1.0)
     assert sum(c.probability for c in parted) == pytest.approx(1.0)
+    told[id(noisy[2].fit)] = (0, 0, 0, 0)
+    first = classes(replace(slot, ranked=tuple(noisy)), 20, 1.0)[0]
+    assert first.members[0] is noisy[2] and first.probability == 1.0  # though it has least evidence
