@@ -1,8 +1,9 @@
 """Stretches of recordings that are simulated from a start of their own."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,6 +11,22 @@ from jaxtyping import Bool, Float, Int
 from det2stoc_bayes.recording import Recording
 
 TIME_SLACK = 1e-6  # of a step: times that differ by less are the same
+
+
+class Commands(NamedTuple):
+    """Held commands as a simulation takes them, in the arrays of any engine.
+
+    each: (rows, steps, ctrl) mean over every step. around: None where all samples are on steps, else twice (rows,
+    samples, ctrl), the mean from the last step before a sample to the sample, and what holds from the sample on.
+    """
+
+    each: Any
+    around: tuple[Any, Any] | None
+
+    def map(self, change: Callable[[Any], Any]) -> "Commands":
+        """The same change of every array."""
+        around = None if self.around is None else (change(self.around[0]), change(self.around[1]))
+        return Commands(change(self.each), around)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,41 +59,59 @@ class Segments:
         """Simulation steps that reach each segment's last sample."""
         return np.maximum(np.ceil((self.time[:, -1] - self.time[:, 0]) / timestep - TIME_SLACK).astype(int), 1)
 
+    def in_steps(self, timestep: float) -> Float[np.ndarray, "segments samples"]:
+        """Steps from each segment's start to its samples, whole ones as whole numbers."""
+        at = (self.time - self.time[:, :1]) / timestep
+        nearest = np.rint(at)
+        return np.where(np.abs(at - nearest) < TIME_SLACK * 10, nearest, at)
+
     def commands(
         self, which: Int[np.ndarray, " rows"], timestep: float, num_steps: int, num_before: int = 0
-    ) -> Float[np.ndarray, "rows steps ctrl"]:
+    ) -> Commands:
         """The held command's mean over every step of some segments, `num_before` steps before their start included.
 
         A command that comes within a step counts for what is left of it; before the first sample the first is held.
         """
         offsets = (np.arange(num_steps + num_before) - num_before) * timestep
-        out = np.empty((len(which), len(offsets), self.recordings[0].ctrl.shape[1]))
-        owner = self.recording[which]
+        shape = (len(which), len(offsets), self.recordings[0].ctrl.shape[1])
+        each, owner, at = np.empty(shape), self.recording[which], self.in_steps(timestep)
+        around = None
+        if (at != np.floor(at)).any():
+            around = np.empty((len(which), at.shape[1], shape[-1])), np.empty((len(which), at.shape[1], shape[-1]))
         for r in np.unique(owner):
             rows, record = np.flatnonzero(owner == r), self.recordings[r]
             begins = self.time[which[rows], :1] + offsets
             phase = (record.time - begins[0, 0]) / timestep
             if (np.abs(phase - np.rint(phase)) > TIME_SLACK).any():
-                out[rows] = _means(record, begins, timestep)
+                each[rows] = _means(record, begins, begins + timestep)
             else:
-                held = np.searchsorted(record.time, begins + TIME_SLACK * timestep, side="right") - 1
-                out[rows] = record.ctrl[np.clip(held, 0, None)]
-        return out
+                each[rows] = _held(record, begins, timestep)
+            if around is not None:
+                stamps = self.time[which[rows]]
+                whole = self.time[which[rows], :1] + np.floor(at[which[rows]]) * timestep
+                around[0][rows] = _means(record, whole, stamps)
+                around[1][rows] = _held(record, stamps, timestep)
+        return Commands(each, around)
+
+
+def _held(record: Recording, time: Float[np.ndarray, "rows times"], timestep: float) -> np.ndarray:
+    """Commands in force from some times on."""
+    held = np.searchsorted(record.time, time + TIME_SLACK * timestep, side="right") - 1
+    return record.ctrl[np.clip(held, 0, None)]
 
 
 def _means(
-    recording: Recording, begins: Float[np.ndarray, "rows steps"], timestep: float
-) -> Float[np.ndarray, "rows steps ctrl"]:
-    """Means of the held commands over steps, by their integral."""
-    low, high = begins.min() - timestep, begins.max() + 2 * timestep
+    recording: Recording, begins: Float[np.ndarray, "rows times"], ends: Float[np.ndarray, "rows times"]
+) -> Float[np.ndarray, "rows times ctrl"]:
+    """Means of the held commands over intervals, by their integral."""
+    low, high = begins.min() - 1.0, ends.max() + 1.0
     time = np.concatenate([[min(low, recording.time[0])], recording.time, [max(high, recording.time[-1])]])
     ctrl = np.concatenate([recording.ctrl[:1], recording.ctrl])
     integral = np.concatenate([np.zeros((1, ctrl.shape[1])), np.cumsum(ctrl * np.diff(time)[:, None], axis=0)])
+    length = np.maximum(ends - begins, np.finfo(float).tiny)
     out = np.empty((*begins.shape, ctrl.shape[1]))
     for j in range(ctrl.shape[1]):
-        out[..., j] = (
-            np.interp(begins + timestep, time, integral[:, j]) - np.interp(begins, time, integral[:, j])
-        ) / timestep
+        out[..., j] = (np.interp(ends, time, integral[:, j]) - np.interp(begins, time, integral[:, j])) / length
     return out
 
 

@@ -210,7 +210,11 @@ def test_an_interruption_is_one_line(study):
     assert process.stderr.readline() == "sampling\n"
     time.sleep(0.2)
     process.send_signal(signal.SIGINT)
-    out, error = process.communicate(timeout=60)
+    try:
+        out, error = process.communicate(timeout=30)
+    except subprocess.TimeoutExpired:  # Python drops what is raised within a callback of its collector
+        process.send_signal(signal.SIGINT)
+        out, error = process.communicate(timeout=60)
     assert process.returncode == 130
     assert error == "interrupted\n"
     assert not out

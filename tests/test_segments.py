@@ -83,7 +83,7 @@ def test_steps_reach_the_last_sample(last, timestep, expected):
 
 def test_a_command_within_a_step_counts_for_what_is_left_of_it():
     segments = cut([record("a", [0.0, 0.1, 0.15, 0.31, 0.4])])
-    held = segments.commands(np.array([0]), 0.1, 5, 2)[0, :, 0]
+    held = segments.commands(np.array([0]), 0.1, 5, 2).each[0, :, 0]
     #          before  0.0  0.1  0.2  0.3 and 0.4
     np.testing.assert_allclose(held, [0, 0, 0, 1.5, 2, 2.9, 4], rtol=0, atol=1e-12)
 
@@ -91,12 +91,12 @@ def test_a_command_within_a_step_counts_for_what_is_left_of_it():
 def test_commands_before_a_later_segment_are_those_recorded_before_it():
     segments = cut([record("a", np.arange(8) * 0.1)], 4)
     assert segments.count == 2
-    held = segments.commands(np.array([1, 0, 1]), 0.1, 3, 2)[:, :, 0]
+    held = segments.commands(np.array([1, 0, 1]), 0.1, 3, 2).each[:, :, 0]
     np.testing.assert_array_equal(held, [[2, 3, 4, 5, 6], [0, 0, 0, 1, 2], [2, 3, 4, 5, 6]])
 
 
 def test_times_that_differ_by_rounding_are_the_same():
     time = np.cumsum(np.full(50, 0.01)) - 0.01  # not exactly a multiple of the step
     segments = cut([record("a", time)])
-    held = segments.commands(np.array([0]), 0.001, 490)[0, :, 0]
+    held = segments.commands(np.array([0]), 0.001, 490).each[0, :, 0]
     np.testing.assert_array_equal(held, np.repeat(np.arange(49), 10))

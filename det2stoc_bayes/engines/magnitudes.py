@@ -20,7 +20,7 @@ class Magnitudes:
         } | {name: [] for name in ("sensordata", "ctrl", "actuator_force", "actuator_velocity")}
         segments = problem.segments
         steps = max(MAX_STEPS // segments.count, 50)
-        commands = segments.commands(np.arange(segments.count), self.model.opt.timestep, steps)
+        commands = segments.commands(np.arange(segments.count), self.model.opt.timestep, steps).each
         model = self._at_median()
         for s in range(0, segments.count, max(1, segments.count // 12)):
             self._simulate(model, s, min(steps, int(segments.steps(model.opt.timestep)[s])), commands[s])

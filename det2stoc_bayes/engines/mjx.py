@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from det2stoc_bayes.engines.base import Counter, EffectRows, Request, Start, Trajectory
-from det2stoc_bayes.engines.mjx_simulation import NEEDED_NONZERO, Simulation, in_fields
+from det2stoc_bayes.engines.mjx_simulation import NEEDED_NONZERO, Simulation
+from det2stoc_bayes.engines.mjx_step import in_fields
 from det2stoc_bayes.engines.mjx_support import check_supported
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 
@@ -91,7 +92,7 @@ class Mjx:
         before = _num_before(effects, parameters, one.dt)
         num_steps = int(segments.steps(one.dt)[request.which].max())
         used, inverse = np.unique(which, return_inverse=True)
-        ctrl = segments.commands(used, one.dt, num_steps + 1, before)
+        commands = segments.commands(used, one.dt, num_steps + 1, before)
         size = MAX_CHUNK.get(jax.default_backend(), MAX_CHUNK_ACCELERATOR)
         out = []
         for begin in range(0, len(rows), size):
@@ -103,7 +104,7 @@ class Mjx:
                 before,
                 (start.qpos, start.qvel, start.act),
                 segments.time[which[pick]],
-                ctrl[inverse[pick]],
+                commands.map(lambda a, chosen=inverse[pick]: a[chosen]),
                 {n: v[pick] for n, v in fields.items()},
                 [{n: v[pick] for n, v in p.items()} for p in parameters],
             )
@@ -131,9 +132,8 @@ class _Predict:
         farthest = [problem.effect_values(np.full((1, problem.size), s)) for s in (-FARTHEST, FARTHEST)]
         self._before = max(_num_before(problem.effects, values, self._one.dt) for values in farthest)
         num_steps = int(segments.steps(self._one.dt).max())
-        self._ctrl = jnp.asarray(
-            segments.commands(np.arange(segments.count), self._one.dt, num_steps + 1, self._before)
-        )
+        commands = segments.commands(np.arange(segments.count), self._one.dt, num_steps + 1, self._before)
+        self._commands = commands.map(jnp.asarray)
         self._time = jnp.asarray(segments.time)
         self._start = tuple(jnp.asarray(a) for a in (start.qpos, start.qvel, start.act))
         self._model = problem.simulator.model
@@ -150,7 +150,7 @@ class _Predict:
                 fields[where.field] = fields[where.field].at[at].set(value)
         start = self._start if change is None else jax.vmap(self._moved)(self._start, change)
         run = jax.vmap(lambda s, t, u, f: self._one(s, t, u, f, parameters, self._before))
-        return run(start, self._time, self._ctrl, fields)
+        return run(start, self._time, self._commands, fields)
 
     def _moved(self, start, change):
         qpos, qvel, act = start

@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import mujoco.batch
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Trajectory
 from det2stoc_bayes.engines.layout import LONGEST_BEND, column_address
 from det2stoc_bayes.engines.mujoco_steps import Stepper, is_stepped
-from det2stoc_bayes.segments import TIME_SLACK
+from det2stoc_bayes.segments import TIME_SLACK, Commands
 
 _BAD_STATE = [int(getattr(mujoco.mjtWarning, f"mjWARN_BADQ{x}")) for x in ("POS", "VEL", "ACC")]
 _STATE = mujoco.mjtState
@@ -34,6 +34,7 @@ class Chunk:
         self.effects = [e for e in (_restrict(e, rows) for e in request.effects) if e is not None]
         self.addresses = [column_address(model, c) for c in self.segments.columns]
         self.fields: dict[str, np.ndarray] = {}  # that simulations have for themselves
+        self.before = num_before(self.effects, self.dt)
         self.stepped = any(is_stepped(e) for e in self.effects)
         # Stages kept between steps spare the Euler integrators a second computation of places; RK4 starts anew anyway.
         pushed = any(e.placed.effect.uses("body_force") for e in self.effects)
@@ -49,12 +50,15 @@ class Chunk:
         batch.bind("qpos")[:], batch.bind("qvel")[:] = start.qpos, start.qvel
         if self.model.na:
             batch.bind("act")[:] = start.act
-        ctrl = self._commands()
+        commands = self._commands()
+        ctrl = self._arriving(commands.each)[:, self.before :]
         sources = {a.source for a in self.addresses}
-        items = {"qpos", "qvel"} | sources | ({"act"} if states and self.model.na else set())
+        items = {"qpos", "qvel"} | sources | ({"act"} if self.model.na else set())
+        stepper = None
         if self.stepped:
             time = self.segments.time[self.which, 0]
-            record = Stepper(self.model, batch, self.effects, time).run(ctrl, sorted(items))
+            stepper = Stepper(self.model, batch, self.effects, time)
+            record = stepper.run(ctrl, sorted(items))
         else:
             record = self._roll(ctrl, items)
         series = {
@@ -66,17 +70,20 @@ class Chunk:
             last = batch.bind("sensordata")
             batch.forward()
             series["sensordata"] = np.concatenate([record["sensordata"], last[:, None]], 1)
-        columns = self._read(series)
-        if not states:
-            empty = np.empty((*columns.shape[:2], 0))
-            return Trajectory(columns, empty, empty, empty)
         if self.model.na:
             series["act"] = np.concatenate([start.act[:, None], record["act"]], 1)
-        else:
-            series["act"] = np.empty((*series["qpos"].shape[:2], 0))
-        stamps = self.segments.time[self.which]
-        at = (stamps - stamps[:, :1]) / self.dt
-        return Trajectory(columns, *(_interpolate(series[name], at) for name in ("qpos", "qvel", "act")))
+        frozen = self._frozen(series["qvel"])
+        bends = self._bends(series, commands, stepper)
+        columns = self._read(series, bends)
+        # A diverged state is no prediction; the batch freezes such a simulation at its last one.
+        columns[frozen] = np.nan
+        columns[~np.isfinite(columns).all((1, 2)) | (np.abs(columns).max((1, 2)) > 1e9)] = np.nan
+        empty = np.empty((*columns.shape[:2], 0))
+        if not states:
+            return Trajectory(columns, empty, empty, empty)
+        at = self.segments.in_steps(self.dt)[self.which]
+        out = {name: _interpolate(series[name], at) + bends.get(name, 0.0) for name in series}
+        return Trajectory(columns, out["qpos"], out["qvel"], out.get("act", empty))
 
     def _set_fields(self) -> None:
         fields = self.fields
@@ -113,24 +120,76 @@ class Chunk:
                 out = self.batch.expand(name)
                 out[:] = values.reshape(len(first), *out.shape[1:])[np.ravel(inverse)]
 
-    def _commands(self) -> Float[np.ndarray, "sims steps ctrl"]:
-        """What arrives at the actuators at every step, and at the one after the last."""
-        acting = [e for e in self.effects if e.placed.effect.uses("control")]
-        before = num_before(acting, self.dt)
+    def _commands(self) -> Commands:
+        """Commands at every step, those before the start that still matter and the step after the last among them."""
         used, inverse = np.unique(self.which, return_inverse=True)
-        ctrl = self.segments.commands(used, self.dt, self.num_steps + 1, before)[inverse]
-        time = self.segments.time[self.which, :1] + (np.arange(ctrl.shape[1]) - before) * self.dt
-        for e in acting:
-            a = e.placed.element.ctrl
-            step = self.fields["opt.timestep"][e.rows] if "opt.timestep" in self.fields else self.dt
-            ctrl[e.rows, :, a] = e.placed.effect.control(e.parameters, ctrl[e.rows, :, a], time[e.rows], step, np)
-        return ctrl[:, before:]
+        commands = self.segments.commands(used, self.dt, self.num_steps + 1, self.before)
+        return commands.map(lambda a: a[inverse])
+
+    def _arriving(
+        self, ctrl: Float[np.ndarray, "sims steps ctrl"], first: Int[np.ndarray, " sims"] | int = 0
+    ) -> Float[np.ndarray, "sims steps ctrl"]:
+        """What arrives at the actuators; commands are those from `before` steps before step `first` on."""
+        begin = self.segments.time[self.which, 0] + (np.asarray(first) - self.before) * self.dt
+        time, out = begin[:, None] + np.arange(ctrl.shape[1]) * self.dt, np.array(ctrl)
+        for e in self.effects:
+            if e.placed.effect.uses("control"):
+                a = e.placed.element.ctrl
+                step = self.fields["opt.timestep"][e.rows] if "opt.timestep" in self.fields else self.dt
+                out[e.rows, :, a] = e.placed.effect.control(e.parameters, out[e.rows, :, a], time[e.rows], step, np)
+        return out
+
+    def _bends(
+        self, series: Mapping[str, np.ndarray], commands: Commands, stepper: Stepper | None
+    ) -> dict[str, Float[np.ndarray, "sims samples _"]]:
+        """How far samples between steps lie off the straight line between these: each is reached by a shorter step.
+
+        A command that comes within a step would else count too early: it acts on the step's end, not on the sample.
+        """
+        if commands.around is None:
+            return {}
+        at, rows = self.segments.in_steps(self.dt)[self.which], np.arange(self.count)
+        low = np.clip(np.floor(at).astype(int), 0, self.num_steps - 1)
+        share, between = at - low, (at > low) & (at < self.num_steps)
+        out = {name: np.zeros((*at.shape, values.shape[-1])) for name, values in series.items()}
+        step = self.batch.expand("opt.timestep")
+        whole = np.array(step)
+        live = {name: self.batch.bind(name) for name in series}
+        states = [name for name in series if name != "sensordata"]
+        for j in np.flatnonzero(between.any(0)):
+            k = low[:, j]
+            part = np.where(between[:, j], share[:, j], 1.0)
+            for name in states:
+                live[name][:] = series[name][rows, k]
+            past = commands.each[rows[:, None], k[:, None] + np.arange(self.before)]
+            until, after = (self._arriving(np.concatenate([past, u[:, j, None]], 1), k)[:, -1] for u in commands.around)
+            step[:] = whole * part.reshape(-1, *(1,) * (step.ndim - 1))
+            if stepper is not None:
+                stepper.part(until, series["qvel"][rows, np.maximum(k - 1, 0)], k, part)
+            else:
+                self._command(until)
+                self.batch.step()
+            if "sensordata" in live:
+                if stepper is not None:
+                    stepper.prepare(after)
+                else:
+                    self._command(after)
+                self.batch.forward()
+            step[:] = whole
+            for name, values in live.items():
+                a, b = series[name][rows, k], series[name][rows, k + 1]
+                off = values - (a + part[:, None] * (b - a))
+                out[name][:, j] = np.where(between[:, j, None], off, 0.0)
+        return out
+
+    def _command(self, ctrl: Float[np.ndarray, "sims ctrl"]) -> None:
+        if self.model.nu:
+            self.batch.bind("ctrl")[:] = ctrl
 
     def _roll(self, ctrl, items) -> Mapping:
         control = ctrl[:, :-1] if self.model.nu else None
         record = self.batch.rollout(self.num_steps, control, int(_STATE.mjSTATE_CTRL), tuple(items))
-        if self.model.nu:
-            self.batch.bind("ctrl")[:] = ctrl[:, -1]
+        self._command(ctrl[:, -1])
         return record
 
     def _frozen(self, speeds: Float[np.ndarray, "sims steps nv"]) -> Bool[np.ndarray, " sims"]:
@@ -139,7 +198,9 @@ class Chunk:
         last = self.segments.steps(self.dt)[self.which]
         return failed & (speeds[np.arange(self.count), last] == speeds[:, -1]).all(1)
 
-    def _read(self, series: dict[str, np.ndarray]) -> Float[np.ndarray, "sims samples columns"]:
+    def _read(
+        self, series: Mapping[str, np.ndarray], bends: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "sims samples columns"]:
         stamps = self.segments.time[self.which]
         out = np.empty((*stamps.shape, len(self.addresses)))
         for j, (column, address) in enumerate(zip(self.segments.columns, self.addresses, strict=True)):
@@ -154,12 +215,11 @@ class Chunk:
                     times[e.rows] = e.placed.effect.sample_time(e.parameters, times[e.rows], np)
             values = series[address.source][:, :, address.index]
             out[:, :, j] = _interpolate(values[..., None], (times - stamps[:, :1]) / self.dt)[..., 0]
+            if bends:
+                out[:, :, j] += bends[address.source][:, :, address.index]
             for e in effects:
                 if e.placed.effect.uses("reading"):
                     out[e.rows, :, j] = e.placed.effect.reading(e.parameters, stamps[e.rows], out[e.rows, :, j], np)
-        # A diverged state is no prediction; the batch freezes such a simulation at its last one.
-        out[self._frozen(series["qvel"])] = np.nan
-        out[~np.isfinite(out).all((1, 2)) | (np.abs(out).max((1, 2)) > 1e9)] = np.nan
         return out
 
 

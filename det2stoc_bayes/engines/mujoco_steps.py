@@ -5,7 +5,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from det2stoc_bayes.engines import drive
 from det2stoc_bayes.engines.base import EffectRows
@@ -26,14 +26,16 @@ class Stepper:
     """Steps a batch under effects. `time` (sims) is the recorded clock's."""
 
     def __init__(self, model: mujoco.MjModel, batch: Any, effects: Sequence[EffectRows], time: np.ndarray):
-        self.model, self.batch, self.time, self.dt = model, batch, np.array(time), model.opt.timestep
+        self.model, self.batch, self.dt = model, batch, model.opt.timestep
+        self.begin, self.time = time, np.array(time)
+        self.share = np.ones_like(time)  # of a timestep that the next step lasts
         stepped = [e for e in effects if is_stepped(e)]
         self.momentary = [e for e in stepped if e.placed.effect.writes]
         self.pushed = [e for e in stepped if e.placed.effect.uses("body_force")]
         self.forced = [e for e in stepped if e.placed.effect.uses("joint_force")]
         # A force is held over a step. RK4 weighs the whole step, so its state is taken at the middle (a force along an
         # arm would turn it otherwise, drag would come late); the Euler integrators take every force at the beginning.
-        self.lead = 0.5 * self.dt if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.0
+        self.middle = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
         self.qpos, self.qvel = batch.bind("qpos"), batch.bind("qvel")
         self.past = np.array(self.qvel)  # speeds one step ago
         self.force, self.wrench = batch.bind("qfrc_applied"), batch.bind("xfrc_applied")
@@ -62,7 +64,7 @@ class Stepper:
         out = {name: np.empty((len(self.qpos), num_steps, array.shape[1])) for name, array in live.items()}
         stage = _VEL if self.pushed else _NONE
         # The stages of the new state would overwrite its sensors, those of the middle are not the ones to step from.
-        apart = bool(self.pushed) and ("sensordata" in live or self.lead > 0)
+        apart = bool(self.pushed) and ("sensordata" in live or self.middle)
         if self.pushed:
             self._place()
         for k in range(num_steps):
@@ -76,6 +78,20 @@ class Stepper:
                 self._place()
         self.prepare(commands[:, num_steps])
         return out
+
+    def part(
+        self,
+        command: Float[np.ndarray, "sims nu"],
+        past: Float[np.ndarray, "sims nv"],
+        num_done: Int[np.ndarray, " sims"],
+        share: Float[np.ndarray, " sims"],
+    ) -> None:
+        """A step that lasts a share of a timestep, which the batch has been told; `past` are speeds one step ago."""
+        self.past[:], self.time[:], self.share = past, self.begin + num_done * self.dt, share
+        if self.pushed:
+            self._place()
+        self.prepare(command)
+        self.batch.step(stage=_NONE)
 
     def prepare(self, command: Float[np.ndarray, "sims nu"]) -> None:
         """Command, fields and forces of the step that begins."""
@@ -99,22 +115,26 @@ class Stepper:
 
     def _place(self) -> None:
         """Velocities and places of bodies for the step that begins; RK4's in its middle."""
-        if not self.lead:
+        if not self.middle:
             self.batch.forward(stage=_VEL)
             return
         qpos, qvel, middle = np.array(self.qpos), np.array(self.qvel), self._speeds()
-        self.qpos[:] = integrate_positions(self.model, qpos, self.lead * 0.5 * (qvel + middle))
+        self.qpos[:] = integrate_positions(self.model, qpos, self._lead[:, None] * 0.5 * (qvel + middle))
         self.qvel[:] = middle
         self.batch.forward(stage=_VEL)
         self.qpos[:], self.qvel[:] = qpos, qvel
 
-    def _speeds(self, dof: int | slice = slice(None)) -> np.ndarray:
+    @property
+    def _lead(self) -> Float[np.ndarray, " sims"]:
+        """Seconds from the step's beginning to where its forces are taken."""
+        return 0.5 * self.middle * self.share * self.dt
+
+    def _speeds(self) -> Float[np.ndarray, "sims nv"]:
         """Speeds where the step's forces are taken, as the last step's change foretells them."""
-        now = self.qvel[:, dof]
-        return now + 0.5 * (now - self.past[:, dof]) if self.lead else now
+        return self.qvel + 0.5 * self.middle * self.share[:, None] * (self.qvel - self.past)
 
     def _joint_state(self, e: EffectRows) -> JointState:
-        at, rows, time = e.placed.element, e.rows, self.time[e.rows] + self.lead
+        at, rows, time = e.placed.element, e.rows, (self.time + self._lead)[e.rows]
         if at.dof < 0:
             return JointState(0.0 * time, 0.0 * time, time)
         given = None
@@ -124,11 +144,11 @@ class Stepper:
                 return self.fields[name][rows]
 
             given = drive.drive_of(self.model, at, field, self.ctrl[rows], self.act[rows])
-        speed = self._speeds(at.dof)[rows]
-        way = self.lead * 0.5 * (self.qvel[rows, at.dof] + speed)
+        speed = self._speeds()[rows, at.dof]
+        way = self._lead[rows] * 0.5 * (self.qvel[rows, at.dof] + speed)
         return JointState(self.qpos[rows, at.qpos] + way, speed, time, given)
 
     def _body_state(self, e: EffectRows) -> BodyState:
         rows, sizes = e.rows, self.model.geom_size[None] if self.sizes is None else self.sizes[e.rows]
         cvel, xipos, com = (self.derived[n][rows] for n in ("cvel", "xipos", "subtree_com"))
-        return body_state(self.model, e.placed.element, cvel, xipos, com, sizes, self.time[rows] + self.lead)
+        return body_state(self.model, e.placed.element, cvel, xipos, com, sizes, (self.time + self._lead)[rows])

@@ -145,7 +145,7 @@ class Response:
         ]
         longest = max((p.effect.memory(v) for p, v in there), default=0.0)
         before, dt = int(np.ceil(longest / self._dt)) + 2, self._dt
-        u = segments.commands(np.arange(segments.count), dt, int(segments.steps(dt).max()) + 1, before)
+        u = segments.commands(np.arange(segments.count), dt, int(segments.steps(dt).max()) + 1, before).each
         time = segments.time[:, :1] + (np.arange(u.shape[1]) - before) * dt
         for p, v in there:
             u[..., p.element.ctrl] = p.effect.control(v, u[..., p.element.ctrl], time, dt, np)

@@ -64,7 +64,7 @@ def plain_loop(patch, folder, segments, start, replay=0, states=None):
     data, effects = mujoco.MjData(model), load(patch.module, folder) if patch.module else None
     dt = model.opt.timestep
     num_steps = int(segments.steps(dt)[0])
-    commands = segments.commands(np.zeros(1, int), dt, num_steps, replay)[0]
+    commands = segments.commands(np.zeros(1, int), dt, num_steps, replay).each[0]
     if effects:
         effects.reset(model, data)
     data.time = segments.time[0, 0] - replay * dt
