@@ -113,6 +113,31 @@ def diagnose(
 
 
 @app.command()
+def reproduce(
+    experiment: Annotated[str, typer.Argument(metavar="EXPERIMENT", help="trivariate.", show_default=False)],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.", show_default=False)],
+    quick: Annotated[bool, typer.Option("--quick", help="A look in minutes.")] = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Run an experiment of the source work again; the same command goes on where it was interrupted."""
+    with _reporting(debug) as stages:
+        from det2stoc_bayes import tables
+        from det2stoc_bayes.files import atomic_write
+        from det2stoc_bayes.reproduce import get_experiment
+
+        module = get_experiment(experiment)
+        _check_folder(out)
+        result = module.run(out, seed=seed, quick=quick, progress=stages)
+        atomic_write(out / "results.json", json.dumps(result))
+        atomic_write(out / "report.html", module.page(result))
+    _show(result if as_json else tables.experiment_table(result), as_json)
+    if not as_json:
+        _show(f"Report: {out / 'report.html'}", as_json)
+
+
+@app.command()
 def effects(seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None:
     """List the effects that a diagnosis knows."""
     with _reporting(debug):

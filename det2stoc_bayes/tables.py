@@ -151,6 +151,17 @@ def _plain(value: Any, between: str = ", ") -> str:
     return number(value) if isinstance(value, int | float) else MISSING if value is None else str(value)
 
 
+# --- reproduce --------------------------------------------------------
+def experiment_table(result: Mapping[str, Any]) -> RenderableType:
+    """An experiment's figures beside their bounds."""
+    made = table(
+        f"{result['experiment']}, {len(result['cases'])} cases", "KL(exact || learned) [nat]", "found>", "allowed>"
+    )
+    for name, allowed in result["allowed"].items():
+        made.add_row(name, number(result["divergence"][name]), number(allowed))
+    return made
+
+
 # --- effects ------------------------------------------------------------
 def effects_json(
     catalogue: Mapping[str, "det2stoc_bayes.mismatch.effects.base.Effect"],

@@ -1,0 +1,16 @@
+"""Experiments of the source work, run again: one module an experiment, each with `run` and `page`."""
+
+from importlib import import_module
+from types import ModuleType
+
+from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.suggestions import choices
+
+EXPERIMENTS = {"trivariate": "trivariate"}  # name on the command line -> module
+
+
+def get_experiment(name: str) -> ModuleType:
+    """An experiment's module, imported now; a Det2StocError lists the experiments where none has this name."""
+    if name not in EXPERIMENTS:
+        raise Det2StocError(f"reproduce: unknown experiment '{name}'; {choices(name, tuple(EXPERIMENTS), limit=20)}")
+    return import_module(f"{__name__}.{EXPERIMENTS[name]}")

@@ -1,0 +1,91 @@
+"""Conditional Gaussians as networks: layers of ReLU with layer norm, into every one of which the latent is fed anew."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+LOG_SD = (-10.0, 4.0)  # of standardised outputs: how sure a network can be
+
+
+class SkipMLP(eqx.Module):
+    """A perceptron whose every layer sees `skip` beside the layer before."""
+
+    layers: tuple[eqx.nn.Linear, ...]
+    norms: tuple[eqx.nn.LayerNorm, ...]
+    last: eqx.nn.Linear
+    activation: Callable = eqx.field(static=True)
+
+    def __init__(
+        self,
+        size: int,
+        skip: int,
+        out: int,
+        key: PRNGKeyArray,
+        *,
+        width: int = 64,
+        depth: int = 3,
+        activation: Callable = jax.nn.silu,
+        norm: bool = True,
+    ):
+        keys, kind = jax.random.split(key, depth + 1), jnp.float32
+        sizes = [size, *[width] * depth]
+        pairs = zip(sizes[:-1], keys[:-1], strict=True)
+        self.layers = tuple(eqx.nn.Linear(n + skip, width, dtype=kind, key=k) for n, k in pairs)
+        self.norms = tuple(eqx.nn.LayerNorm(width, dtype=kind) for _ in range(depth)) if norm else ()
+        self.last = eqx.nn.Linear(width + skip, out, dtype=kind, key=keys[-1])
+        self.activation = activation
+
+    def __call__(self, x: Float[Array, " size"], skip: Float[Array, " skip"]) -> Float[Array, " out"]:
+        for i, layer in enumerate(self.layers):
+            x = layer(jnp.concatenate([x, skip]))
+            x = self.activation(self.norms[i](x) if self.norms else x)
+        return self.last(jnp.concatenate([x, skip]))
+
+
+class Decoder(eqx.Module):
+    """p(y | x, z): mean and lower-triangular scale of a Gaussian in standardised units."""
+
+    net: SkipMLP
+    size: int = eqx.field(static=True)
+    full: bool = eqx.field(static=True)
+
+    def __init__(self, x: int, z: int, y: int, key: PRNGKeyArray, *, full: bool = False, **shape):
+        self.size, self.full = y, full
+        self.net = SkipMLP(x, z, 2 * y + full * (y * (y - 1) // 2), key, **shape)
+
+    def __call__(
+        self, x: Float[Array, " x"], z: Float[Array, " z"]
+    ) -> tuple[Float[Array, " y"], Float[Array, "*scale"]]:
+        return gaussian(self.net(x, z), self.size, self.full)
+
+
+class Encoder(eqx.Module):
+    """q(z | x, y), with dropout on its input."""
+
+    net: SkipMLP
+    dropout: eqx.nn.Dropout
+    size: int = eqx.field(static=True)
+    full: bool = eqx.field(static=True)
+
+    def __init__(self, x: int, y: int, z: int, key: PRNGKeyArray, *, drop: float = 0.2, full: bool = False, **shape):
+        self.size, self.full, self.dropout = z, full, eqx.nn.Dropout(drop)
+        self.net = SkipMLP(x + y, 0, 2 * z + full * (z * (z - 1) // 2), key, **shape)
+
+    def __call__(
+        self, x: Float[Array, " x"], y: Float[Array, " y"], key: PRNGKeyArray | None = None
+    ) -> tuple[Float[Array, " z"], Float[Array, "*scale"]]:
+        given = self.dropout(jnp.concatenate([x, y]), key=key, inference=key is None)
+        return gaussian(self.net(given, jnp.zeros(0, given.dtype)), self.size, self.full)
+
+
+def gaussian(out: Float[Array, " out"], size: int, full: bool) -> tuple[Float[Array, " size"], Float[Array, "*scale"]]:
+    """Mean and sd (or Cholesky factor) from a network's output."""
+    mean, log_sd = out[:size], jnp.clip(out[size : 2 * size], *LOG_SD)
+    if not full:
+        return mean, jnp.exp(log_sd)
+    below = jnp.zeros((size, size), out.dtype).at[jnp.tril_indices(size, -1)].set(out[2 * size :])
+    sd = jnp.exp(log_sd)
+    return mean, sd[:, None] * (below + jnp.eye(size, dtype=out.dtype))
