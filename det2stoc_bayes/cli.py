@@ -172,7 +172,7 @@ def _reporting(debug: bool) -> Iterator["det2stoc_bayes.progress.Stages"]:
     interrupted = Event()
     logging.disable(logging.NOTSET if debug else logging.ERROR)  # what libraries log
     try:
-        with _interrupting(interrupted), Stages(console) as stages, _warnings_on(console):
+        with _interrupting(interrupted), Stages(console, interrupted) as stages, _warnings_on(console):
             yield stages
     except (Exception, KeyboardInterrupt) as error:
         if interrupted.is_set() or isinstance(error, KeyboardInterrupt):

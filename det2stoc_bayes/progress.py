@@ -1,5 +1,6 @@
 """Progress of long work on stderr: bars with rate and time left on a terminal, one line a stage elsewhere."""
 
+from threading import Event
 from types import TracebackType
 from typing import Self
 
@@ -21,8 +22,9 @@ from rich.text import Text
 class Stages:
     """Takes `(stage, done, total)`, or `(done, total)` of one stage through `of`; a context manager."""
 
-    def __init__(self, console: Console):
-        self._console = console
+    def __init__(self, console: Console, interrupted: Event | None = None):
+        """`interrupted`: once set, the next report raises KeyboardInterrupt; a library's callback may have lost it."""
+        self._console, self._interrupted = console, interrupted
         self._seen: dict[str, TaskID] = {}
         self._bars = Progress(
             TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn(), _Rate(), _Left(),
@@ -40,6 +42,8 @@ class Stages:
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """`done` of `total` steps of a stage are over; the first call of a stage announces it."""
+        if self._interrupted is not None and self._interrupted.is_set():
+            raise KeyboardInterrupt
         if stage not in self._seen:
             self._seen[stage] = self._bars.add_task(stage, total=total)
             if not self._console.is_terminal:

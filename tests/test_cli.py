@@ -8,6 +8,7 @@ import sys
 import time
 from io import StringIO
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -211,14 +212,22 @@ def test_an_interruption_is_one_line(study):
     time.sleep(0.2)
     process.send_signal(signal.SIGINT)
     try:
-        out, error = process.communicate(timeout=30)
-    except subprocess.TimeoutExpired:  # Python drops what is raised within a callback of its collector
-        process.send_signal(signal.SIGINT)
         out, error = process.communicate(timeout=60)
+    finally:
+        process.kill()
     assert process.returncode == 130
     assert error == "interrupted\n"
     assert not out
     assert not (study / "never").exists()
+
+
+def test_an_interruption_that_a_library_lost_ends_the_work_at_its_next_report():
+    interrupted = Event()
+    stages = progress.Stages(Console(file=StringIO()), interrupted)
+    stages("sampling", 1, 3)
+    interrupted.set()
+    with pytest.raises(KeyboardInterrupt):
+        stages("sampling", 2, 3)
 
 
 def test_effects_lists_the_catalogue():
