@@ -61,9 +61,7 @@ class Segments:
 
     def in_steps(self, timestep: float) -> Float[np.ndarray, "segments samples"]:
         """Steps from each segment's start to its samples, whole ones as whole numbers."""
-        at = (self.time - self.time[:, :1]) / timestep
-        nearest = np.rint(at)
-        return np.where(np.abs(at - nearest) < TIME_SLACK * 10, nearest, at)
+        return snapped((self.time - self.time[:, :1]) / timestep)
 
     def commands(
         self, which: Int[np.ndarray, " rows"], timestep: float, num_steps: int, num_before: int = 0
@@ -92,6 +90,12 @@ class Segments:
                 around[0][rows] = _means(record, whole, stamps)
                 around[1][rows] = _held(record, stamps, timestep)
         return Commands(each, around)
+
+
+def snapped(at: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, "rows times"]:
+    """Times in steps, those on a step as whole numbers."""
+    nearest = np.rint(at)
+    return np.where(np.abs(at - nearest) < TIME_SLACK * 10, nearest, at)
 
 
 def _held(record: Recording, time: Float[np.ndarray, "rows times"], timestep: float) -> np.ndarray:

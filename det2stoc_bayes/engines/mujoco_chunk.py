@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from det2stoc_bayes.engines.base import EffectRows, Request, Trajectory
 from det2stoc_bayes.engines.layout import LONGEST_BEND, column_address
 from det2stoc_bayes.engines.mujoco_steps import Stepper, is_stepped
-from det2stoc_bayes.segments import TIME_SLACK, Commands
+from det2stoc_bayes.segments import Commands, snapped
 
 _BAD_STATE = [int(getattr(mujoco.mjtWarning, f"mjWARN_BADQ{x}")) for x in ("POS", "VEL", "ACC")]
 _STATE = mujoco.mjtState
@@ -53,7 +53,8 @@ class Chunk:
         commands = self._commands()
         ctrl = self._arriving(commands.each)[:, self.before :]
         sources = {a.source for a in self.addresses}
-        items = {"qpos", "qvel"} | sources | ({"act"} if self.model.na else set())
+        activated = bool(self.model.na) and (states or commands.around is not None)
+        items = {"qpos", "qvel"} | sources | ({"act"} if activated else set())
         stepper = None
         if self.stepped:
             time = self.segments.time[self.which, 0]
@@ -70,7 +71,7 @@ class Chunk:
             last = batch.bind("sensordata")
             batch.forward()
             series["sensordata"] = np.concatenate([record["sensordata"], last[:, None]], 1)
-        if self.model.na:
+        if activated:
             series["act"] = np.concatenate([start.act[:, None], record["act"]], 1)
         frozen = self._frozen(series["qvel"])
         bends = self._bends(series, commands, stepper)
@@ -82,7 +83,8 @@ class Chunk:
         if not states:
             return Trajectory(columns, empty, empty, empty)
         at = self.segments.in_steps(self.dt)[self.which]
-        out = {name: _interpolate(series[name], at) + bends.get(name, 0.0) for name in series}
+        names = [name for name in series if name != "sensordata"]
+        out = {name: _interpolate(series[name], at) + bends.get(name, 0.0) for name in names}
         return Trajectory(columns, out["qpos"], out["qvel"], out.get("act", empty))
 
     def _set_fields(self) -> None:
@@ -130,13 +132,15 @@ class Chunk:
         self, ctrl: Float[np.ndarray, "sims steps ctrl"], first: Int[np.ndarray, " sims"] | int = 0
     ) -> Float[np.ndarray, "sims steps ctrl"]:
         """What arrives at the actuators; commands are those from `before` steps before step `first` on."""
+        acting = [e for e in self.effects if e.placed.effect.uses("control")]
+        if not acting:
+            return ctrl
         begin = self.segments.time[self.which, 0] + (np.asarray(first) - self.before) * self.dt
         time, out = begin[:, None] + np.arange(ctrl.shape[1]) * self.dt, np.array(ctrl)
-        for e in self.effects:
-            if e.placed.effect.uses("control"):
-                a = e.placed.element.ctrl
-                step = self.fields["opt.timestep"][e.rows] if "opt.timestep" in self.fields else self.dt
-                out[e.rows, :, a] = e.placed.effect.control(e.parameters, out[e.rows, :, a], time[e.rows], step, np)
+        for e in acting:
+            a = e.placed.element.ctrl
+            step = self.fields["opt.timestep"][e.rows] if "opt.timestep" in self.fields else self.dt
+            out[e.rows, :, a] = e.placed.effect.control(e.parameters, out[e.rows, :, a], time[e.rows], step, np)
         return out
 
     def _bends(
@@ -248,8 +252,7 @@ def _interpolate(
 
     Farther back the parabola's bend stops: a start's transient would be blown up.
     """
-    nearest = np.rint(at)
-    at = np.where(np.abs(at - nearest) < TIME_SLACK * 10, nearest, at)
+    at = snapped(at)
     low = np.clip(np.floor(at).astype(int), 0, values.shape[1] - 2)
     share = (at - low)[..., None]
     rows = np.arange(len(values))[:, None]

@@ -36,6 +36,7 @@ class Stepper:
         # A force is held over a step. RK4 weighs the whole step, so its state is taken at the middle (a force along an
         # arm would turn it otherwise, drag would come late); the Euler integrators take every force at the beginning.
         self.middle = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+        self.lead = self._lead()
         self.qpos, self.qvel = batch.bind("qpos"), batch.bind("qvel")
         self.past = np.array(self.qvel)  # speeds one step ago
         self.force, self.wrench = batch.bind("qfrc_applied"), batch.bind("xfrc_applied")
@@ -88,6 +89,7 @@ class Stepper:
     ) -> None:
         """A step that lasts a share of a timestep, which the batch has been told; `past` are speeds one step ago."""
         self.past[:], self.time[:], self.share = past, self.begin + num_done * self.dt, share
+        self.lead = self._lead()
         if self.pushed:
             self._place()
         self.prepare(command)
@@ -119,22 +121,25 @@ class Stepper:
             self.batch.forward(stage=_VEL)
             return
         qpos, qvel, middle = np.array(self.qpos), np.array(self.qvel), self._speeds()
-        self.qpos[:] = integrate_positions(self.model, qpos, self._lead[:, None] * 0.5 * (qvel + middle))
+        self.qpos[:] = integrate_positions(self.model, qpos, self.lead[:, None] * 0.5 * (qvel + middle))
         self.qvel[:] = middle
         self.batch.forward(stage=_VEL)
         self.qpos[:], self.qvel[:] = qpos, qvel
 
-    @property
     def _lead(self) -> Float[np.ndarray, " sims"]:
         """Seconds from the step's beginning to where its forces are taken."""
         return 0.5 * self.middle * self.share * self.dt
 
-    def _speeds(self) -> Float[np.ndarray, "sims nv"]:
+    def _speeds(self, dof: int | slice = slice(None)) -> np.ndarray:
         """Speeds where the step's forces are taken, as the last step's change foretells them."""
-        return self.qvel + 0.5 * self.middle * self.share[:, None] * (self.qvel - self.past)
+        now = self.qvel[:, dof]
+        if not self.middle:
+            return now
+        share = self.share if now.ndim == 1 else self.share[:, None]
+        return now + 0.5 * share * (now - self.past[:, dof])
 
     def _joint_state(self, e: EffectRows) -> JointState:
-        at, rows, time = e.placed.element, e.rows, (self.time + self._lead)[e.rows]
+        at, rows, time = e.placed.element, e.rows, self.time[e.rows] + self.lead[e.rows]
         if at.dof < 0:
             return JointState(0.0 * time, 0.0 * time, time)
         given = None
@@ -144,11 +149,11 @@ class Stepper:
                 return self.fields[name][rows]
 
             given = drive.drive_of(self.model, at, field, self.ctrl[rows], self.act[rows])
-        speed = self._speeds()[rows, at.dof]
-        way = self._lead[rows] * 0.5 * (self.qvel[rows, at.dof] + speed)
+        speed = self._speeds(at.dof)[rows]
+        way = self.lead[rows] * 0.5 * (self.qvel[rows, at.dof] + speed)
         return JointState(self.qpos[rows, at.qpos] + way, speed, time, given)
 
     def _body_state(self, e: EffectRows) -> BodyState:
         rows, sizes = e.rows, self.model.geom_size[None] if self.sizes is None else self.sizes[e.rows]
         cvel, xipos, com = (self.derived[n][rows] for n in ("cvel", "xipos", "subtree_com"))
-        return body_state(self.model, e.placed.element, cvel, xipos, com, sizes, (self.time + self._lead)[rows])
+        return body_state(self.model, e.placed.element, cvel, xipos, com, sizes, self.time[rows] + self.lead[rows])
