@@ -87,13 +87,22 @@ class Stepper:
         num_done: Int[np.ndarray, " sims"],
         share: Float[np.ndarray, " sims"],
     ) -> None:
-        """A step that lasts a share of a timestep, which the batch has been told; `past` are speeds one step ago."""
+        """A step that lasts a share of a timestep, which the batch has been told; `past` are speeds one step ago.
+
+        Leaves all ready for `prepare`: a step begins where it ended.
+        """
+        self._stand(past, num_done, share)
+        self.prepare(command)
+        past = np.array(self.qvel)
+        self.batch.step(stage=_NONE)
+        self._stand(past, num_done + share, np.ones_like(share))
+
+    def _stand(self, past: np.ndarray, num_done: np.ndarray, share: np.ndarray) -> None:
+        """What the coming step looks at, so many steps after the start."""
         self.past[:], self.time[:], self.share = past, self.begin + num_done * self.dt, share
         self.lead = self._lead()
         if self.pushed:
             self._place()
-        self.prepare(command)
-        self.batch.step(stage=_NONE)
 
     def prepare(self, command: Float[np.ndarray, "sims nu"]) -> None:
         """Command, fields and forces of the step that begins."""

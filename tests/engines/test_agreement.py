@@ -110,6 +110,7 @@ def test_same_motion_with_every_effect_and_derived_constant(compiled):
     bodies = ARM.replace('name="elbow"', 'name="elbow" range="-0.3 0.3" limited="true"')
     bodies = bodies.replace('name="shoulder"', 'name="shoulder" frictionloss="0.1"')
     sensors = '<subtreelinvel name="flow" body="upper"/><actuatorfrc name="effort" actuator="servo"/>'
+    sensors += '<framelinacc name="acc" objtype="body" objname="lower"/>'
     model = compiled(bodies, MOTORS + f"<sensor>{sensors}</sensor>", option=AIR.format("Euler"))
     effects = [(place_form(model, form), VALUES[form]) for form in FORMS if form != "PayloadMass"]
     rows = len(DERIVED) + len(effects) + 1
@@ -127,6 +128,7 @@ def test_same_motion_with_every_effect_and_derived_constant(compiled):
         present = [values if row == k else absent for row in range(rows)]
         together.append(EffectRows(placed, slice(0, rows), {n: np.array([v[n] for v in present]) for n in values}))
     columns = [*state_columns(model), "sensor/flow/0", "sensor/flow/2", "sensor/effort"]
+    columns += ["sensor/acc/0", "sensor/acc/2"]
     time = TIME + np.where(np.arange(len(TIME)) % 3, 0.0, 0.0007)  # every third sample between two steps
     c = agree(model, fields, tuple(alone), tuple(together), rows, columns=columns, time=time)
     names = [*DERIVED, *(placed.label for placed, _ in effects)]
