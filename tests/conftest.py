@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import shapes_plugin  # before the package, whose functions it decorates
 
 from det2stoc_bayes.recording import Recording, StudyWarning
 from det2stoc_bayes.study import Study, load_study
@@ -43,6 +44,11 @@ GENERAL = """
 <actuator><general name="turn" joint="shoulder" gainprm="1.5" biastype="affine" biasprm="0.2 -1 -0.1"
   ctrlrange="-1 1" ctrllimited="true"/>
 <general name="servo" joint="elbow" dyntype="filterexact" dynprm="0.05" gainprm="2"/></actuator>"""
+
+
+def pytest_runtest_setup() -> None:
+    """Every test checks signatures anew."""
+    shapes_plugin.CALLS.clear()
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -18,7 +18,7 @@ from det2stoc_bayes.blind.systems import SYSTEMS
 from det2stoc_bayes.blind.variants import VARIANTS, choose, possible
 from det2stoc_bayes.study import load_study
 
-SHORT = {"num_recordings": 2, "num_samples": 60}
+SHORT = {"num_recordings": 2, "num_samples": 40}
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_files_and_columns(case, tmp_path):
     assert found == sorted(case.study_files)
     assert sorted(found)[:3] == ["holdout/hold_01.csv", "holdout/hold_02.csv", "holdout/hold_03.csv"]
     header, *rows = case.study_files["recordings/rec_01.csv"].splitlines()
-    assert header.startswith("time,qpos/shoulder,qpos/elbow,qvel/shoulder") and len(rows) == 60
+    assert header.startswith("time,qpos/shoulder,qpos/elbow,qvel/shoulder") and len(rows) == SHORT["num_samples"]
     study = tomllib.loads(case.study_files["study.toml"])
     assert set(study["psi"]) == set(case.answer["psi"])
     assert set(study["noise"]) == set(SYSTEMS["arm"].columns())
