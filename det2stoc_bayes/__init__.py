@@ -1,8 +1,8 @@
 """Posteriors over simulator parameters, and the physics that a simulator leaves out.
 
 `load(folder)` reads a study, `check(study)` says what its recordings can identify, `fit(study)` gives the
-posterior, `diagnose(study)` finds what the believed model leaves out. Every error that a user can act on is a
-`Det2StocError`.
+posterior, `export(study, posterior, folder, num_draws=100)` writes models with draws of it, `diagnose(study)` finds
+what the believed model leaves out. Every error that a user can act on is a `Det2StocError`.
 """
 
 from importlib import import_module
@@ -19,6 +19,7 @@ from det2stoc_bayes.errors import (
 
 if TYPE_CHECKING:
     from det2stoc_bayes.identifiability import check
+    from det2stoc_bayes.randomization import export
     from det2stoc_bayes.study import load_study as load
     from det2stoc_bayes.verbs import diagnose, fit
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 _LAZY = {
     "check": "det2stoc_bayes.identifiability:check",
     "diagnose": "det2stoc_bayes.verbs:diagnose",
+    "export": "det2stoc_bayes.randomization:export",
     "fit": "det2stoc_bayes.verbs:fit",
     "load": "det2stoc_bayes.study:load_study",
 }
@@ -39,6 +41,7 @@ __all__ = [
     "StudyError",
     "check",
     "diagnose",
+    "export",
     "fit",
     "load",
 ]

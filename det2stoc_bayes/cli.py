@@ -114,7 +114,9 @@ def diagnose(
 
 @app.command()
 def reproduce(
-    experiment: Annotated[str, typer.Argument(metavar="EXPERIMENT", help="trivariate.", show_default=False)],
+    experiment: Annotated[
+        str, typer.Argument(metavar="EXPERIMENT", help="trivariate or windy-slope.", show_default=False)
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.", show_default=False)],
     quick: Annotated[bool, typer.Option("--quick", help="A look in minutes.")] = False,
     seed: Seed = 0,
@@ -135,6 +137,32 @@ def reproduce(
     _show(result if as_json else tables.experiment_table(result), as_json)
     if not as_json:
         _show(f"Report: {out / 'report.html'}", as_json)
+
+
+@app.command()
+def export(
+    study: StudyFolder,
+    posterior_file: Annotated[Path, typer.Argument(metavar="FIT", help="fit.nc of this study.", show_default=False)],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the draws go.", show_default=False)],
+    draws: Annotated[int, typer.Option(min=1, help="How many.")] = 100,
+    models: Annotated[bool, typer.Option("--models/--no-models", help="An MJCF a draw, beside the table.")] = True,
+    seed: Seed = 0,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Write a posterior as a domain-randomization set: psi.csv, and an MJCF a draw."""
+    with _reporting(debug) as stages:
+        _check_folder(out)
+        from det2stoc_bayes import posterior, randomization
+
+        def told(done: int, total: int) -> None:
+            stages("writing models", done, total)
+
+        tree = posterior.load(posterior_file)
+        options = {"num_draws": draws, "seed": seed, "models": models, "progress": told}
+        written = randomization.export(_load(study), tree, out, **options)
+    shown = {"draws": draws, "files": [str(path) for path in written]} if as_json else f"{draws} draws in {written[-1]}"
+    _show(shown, as_json)
 
 
 @app.command()

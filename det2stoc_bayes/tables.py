@@ -153,12 +153,11 @@ def _plain(value: Any, between: str = ", ") -> str:
 
 # --- reproduce --------------------------------------------------------
 def experiment_table(result: Mapping[str, Any]) -> RenderableType:
-    """An experiment's figures beside their bounds."""
-    made = table(
-        f"{result['experiment']}, {len(result['cases'])} cases", "KL(exact || learned) [nat]", "found>", "allowed>"
-    )
-    for name, allowed in result["allowed"].items():
-        made.add_row(name, number(result["divergence"][name]), number(allowed))
+    """The figures that an experiment's results give as their table."""
+    shown = result["table"]
+    made = table(shown["title"], *shown["columns"])
+    for row in shown["rows"]:
+        made.add_row(*(MISSING if cell is None else cell if isinstance(cell, str) else number(cell) for cell in row))
     return made
 
 

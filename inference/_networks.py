@@ -50,11 +50,20 @@ class Decoder(eqx.Module):
 
     net: SkipMLP
     size: int = eqx.field(static=True)
+    latents: int = eqx.field(static=True)
     full: bool = eqx.field(static=True)
 
     def __init__(self, x: int, z: int, y: int, key: PRNGKeyArray, *, full: bool = False, **shape):
-        self.size, self.full = y, full
+        self.size, self.latents, self.full = y, z, full
         self.net = SkipMLP(x, z, 2 * y + full * (y * (y - 1) // 2), key, **shape)
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """What `__init__` needs for another of the same shape, activation and norm apart."""
+        width, given = self.net.layers[0].weight.shape
+        depth = len(self.net.layers)
+        own = {"x": given - self.latents, "z": self.latents, "y": self.size}
+        return own | {"full": self.full, "width": width, "depth": depth}
 
     def __call__(
         self, x: Float[Array, " x"], z: Float[Array, " z"]

@@ -1,0 +1,94 @@
+"""A posterior as a domain-randomization set: draws of psi as a table, and as models that a simulator loads."""
+
+import csv
+import io
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.files import atomic_write
+from det2stoc_bayes.mismatch.patch import assets, make_patch
+from det2stoc_bayes.posterior import DataTree
+from det2stoc_bayes.quantiles import library, truncated_normal
+from det2stoc_bayes.study import Parameter, Study
+
+TABLE = "psi.csv"
+
+
+def draw_psi(
+    study: Study, tree: DataTree, num_draws: int, random: np.random.Generator
+) -> Float[np.ndarray, "draws psi"]:
+    """psi of new episodes: of the posterior, and of its population where psi varies by recording.
+
+    Draws are taken without replacement as long as there are enough. Det2StocError: a psi that the posterior lacks.
+    """
+    posterior = tree["posterior"].to_dataset()
+    total = posterior.sizes["chain"] * posterior.sizes["draw"]
+    rows = random.choice(total, num_draws, replace=num_draws > total)
+
+    def column(name: str) -> Float[np.ndarray, " draws"]:
+        if name not in posterior:
+            found = ", ".join(map(str, posterior.data_vars))
+            raise Det2StocError(f"the posterior has no psi '{name}', which study.toml declares; it has {found}")
+        return np.asarray(posterior[name].values, float).reshape(total, -1)[rows, 0]
+
+    columns = [_of_population(p, column, random) if p.varies == "trajectory" else column(p.name) for p in
+               study.parameters]  # fmt: skip
+    return np.stack(columns, 1)
+
+
+def _of_population(
+    parameter: Parameter, column: Callable[[str], np.ndarray], random: np.random.Generator
+) -> Float[np.ndarray, " draws"]:
+    """A new episode's value: Normal(mu, sigma) within the prior's support."""
+    mu, sigma = column(f"{parameter.name}_mu"), column(f"{parameter.name}_sigma")
+    low, high = parameter.prior.support
+    z = random.standard_normal(len(mu))
+    if np.isinf(low) and np.isinf(high):
+        return mu + sigma * z
+    return np.asarray(truncated_normal({"loc": mu, "scale": sigma, "low": low, "high": high}, z, library(np)))
+
+
+def export(
+    study: Study,
+    tree: DataTree,
+    out: str | os.PathLike[str],
+    *,
+    num_draws: int,
+    seed: int = 0,
+    models: bool = True,
+    progress: Callable[[int, int], None] = lambda *_: None,
+) -> list[Path]:
+    """Writes psi.csv, one row a draw, and with `models` an MJCF a row, their assets beside them.
+
+    Det2StocError: what MJCF cannot say of a psi (then without `models`), or a posterior of another study.
+    """
+    folder, psi = Path(out), draw_psi(study, tree, num_draws, np.random.default_rng(seed))
+    names = [p.name for p in study.parameters]
+    width = len(str(num_draws))
+    files = [f"model_{i + 1:0{width}d}.xml" if models else "" for i in range(num_draws)]
+    texts: dict[Path, str | bytes] = {}
+    for i, row in enumerate(psi if models else ()):
+        patch = make_patch(study, dict(zip(names, map(float, row), strict=True)))
+        if patch.module is not None:
+            raise Det2StocError(
+                f"{study.folder}: MJCF cannot say all that psi sets; allowed: --no-models, for the table alone"
+            )
+        texts[folder / files[i]] = patch.model
+        progress(i + 1, num_draws)
+    if models:
+        root = Path(os.path.abspath(study.folder))
+        texts |= {folder / f.relative_to(root): f.read_bytes() for f in map(Path, map(os.path.abspath, assets(study)))}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["model", *names] if models else names)
+    for name, row in zip(files, psi, strict=True):
+        writer.writerow([*([name] if models else []), *(repr(float(v)) for v in row)])
+    for path, content in texts.items():
+        atomic_write(path, content)
+    atomic_write(folder / TABLE, text.getvalue())  # last: where it is, all is
+    return [*texts, folder / TABLE]

@@ -1,0 +1,203 @@
+"""The page of Windy Slope: log likelihoods beside the source's, what was recovered of psi, and the source's figures."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from det2stoc_bayes.report import canvas, numbers, page
+from det2stoc_bayes.report.canvas import Spec
+
+METRICS = {
+    "matched": "Matched Gaussian", "mixture": "Mixture of 1000 z", "one_latent": "One z", "energy": "Energy score",
+    "pit_distance": "PIT distance", "rollout_energy": "Rollouts: energy", "rollout_pit_distance": "Rollouts: PIT",
+}  # fmt: skip
+SHADES = ("var(--muted)", canvas.BEFORE, canvas.OBSERVED, canvas.AFTER, "var(--text)")
+CELL, COLUMNS = 120, 3  # of the grid of densities
+SIDES = {"side": (1, 2), "above": (1, 0)}  # coordinates to the right and up
+
+
+def windy_slope_page(result: Mapping[str, Any]) -> str:
+    """The report as html text, from results.json's content."""
+    rows, settings = result["rows"], result["settings"]
+    ours = max((r for r in rows if r["name"].startswith("det2stoc")), key=lambda r: r["metrics"]["matched"][0])
+    rival = max((r for r in rows if r["name"].startswith("baseline")), key=lambda r: r["metrics"]["matched"][0])
+    ahead = ours["metrics"]["matched"][0] - rival["metrics"]["matched"][0]
+    scene = result["scene"]
+    shown = ["simulator", _iterations(result["seeds"][0]["models"])[-1], "baseline 10000"]
+    return page.render(
+        "windy_slope.html.j2",
+        title="Windy Slope: det2stoc against a CVAE",
+        verdict="no_mismatch" if ahead > 0 else "mismatch",
+        badge="det2stoc ahead" if ahead > 0 else "baseline ahead",
+        ours=ours,
+        rival=rival,
+        ahead=numbers.number(ahead),
+        result=result,
+        settings=settings,
+        headings=list(METRICS.values()),
+        models=[_model(r, settings["num_seeds"]) for r in rows],
+        oracles={k: numbers.number(v, 4) for k, v in result["oracles"].items() if isinstance(v, float)},
+        likelihood=page.embedded(likelihood_figure(rows, result["oracles"])),
+        recovered=[row for j in range(len(scene["names"])) for row in _recovered(result, j)],
+        posterior_height=canvas.ROW * settings["num_iterations"],
+        posteriors=[
+            (name, page.embedded(posterior_figure(result["seeds"][0]["models"], result["truth"], j, unit)))
+            for j, (name, unit) in enumerate(zip(scene["names"], scene["units"], strict=True))
+        ],
+        poses=[(side, page.embedded(pose_figure(result["figures"]["poses"], side))) for side in SIDES],
+        sweeps=[
+            {"name": s["name"], "figure": page.embedded(sweep_figure(s)), "legend": _legend(s)}
+            for s in result["figures"]["sweeps"]
+        ],
+        densities=[
+            (d["step"], page.embedded(density_figure(d, shown, scene["state"]))) for d in result["figures"]["densities"]
+        ],
+        shown=shown,
+        density_height=CELL * -(-len(scene["state"]) // COLUMNS),
+        number=numbers.number,
+    )
+
+
+def _iterations(models: Mapping[str, Any]) -> list[str]:
+    """Those of the models that know psi."""
+    return [name for name, model in models.items() if "population" in model]
+
+
+def _model(row: Mapping[str, Any], num_seeds: int) -> dict[str, Any]:
+    def told(pair: Sequence[float]) -> str:
+        return numbers.plus_minus(*pair) if num_seeds > 1 else numbers.number(pair[0], 4)
+
+    source = numbers.plus_minus(*row["source"]) if row["source"] else numbers.MISSING
+    values = [told(row["metrics"][m]) for m in METRICS]
+    return {"name": row["name"], "real": row["real"], "source": source, "values": values}
+
+
+def _legend(sweep: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Colour and text of each value."""
+    unit = "" if sweep["unit"] == "1" else f" {sweep['unit']}"
+    return [(c, f"{numbers.number(v)}{unit}") for c, v in zip(SHADES, sweep["values"], strict=True)]
+
+
+def _recovered(result: Mapping[str, Any], j: int) -> list[dict[str, str]]:
+    """A psi in every iteration: what was drawn, the population's posterior, the source's figure, KL of its latent."""
+    out = []
+    for name in _iterations(result["seeds"][0]["models"]):
+        of = [s["models"][name] for s in result["seeds"]]
+
+        def mean(*keys: str, of=of) -> float:
+            found = of
+            for key in keys:
+                found = [o[key] for o in found]
+            return float(np.mean([f[j] for f in found]))
+
+        out.append(
+            {
+                "psi": result["scene"]["names"][j],
+                "model": name,
+                "drawn": numbers.plus_minus(mean("drawn", "mean"), mean("drawn", "sd")),
+                "population": numbers.plus_minus(mean("population", "mean"), mean("population", "sd")),
+                "pooled": numbers.plus_minus(mean("pooled", "mean"), mean("pooled", "sd")),
+                "divergence": numbers.number(mean("divergences")),
+            }
+        )
+    return out
+
+
+def likelihood_figure(rows: Sequence[Mapping[str, Any]], oracles: Mapping[str, Any]) -> Spec:
+    """Log likelihood of the test set against the number of recorded transitions."""
+    traces = []
+    for kind, colour in (("baseline", canvas.BEFORE), ("det2stoc", canvas.AFTER)):
+        mine = [r for r in rows if r["name"].startswith(kind)]
+        x, y = np.array([r["real"] for r in mine], float), np.array([r["metrics"]["matched"] for r in mine])
+        bars = {"type": "data", "array": y[:, 1].tolist(), "color": colour}
+        traces.append(
+            canvas.line(x, y[:, 0], kind, colour, mode="lines+markers", error_y=bars, text=[r["name"] for r in mine],
+                        hovertemplate="%{text}: %{y:.4~g}<extra></extra>")
+        )  # fmt: skip
+    span = np.array([500.0, 12000.0])
+    for key, name in (("population", "oracle: psi from its population"), ("state", "oracle: psi from p(psi | state)")):
+        level = np.full(2, oracles[key])
+        traces.append(canvas.line(span, level, name, canvas.OBSERVED, line={"dash": "dot"}, hovertemplate="%{y:.4~g}"))
+    axes = {"xaxis": canvas.axis("recorded transitions", type="log"), "yaxis": canvas.axis("nat a transition")}
+    return {"data": traces, "layout": canvas.layout(320, **axes, hovermode="closest")}
+
+
+def posterior_figure(models: Mapping[str, Any], truth: Mapping[str, Any], j: int, unit: str) -> Spec:
+    """Histograms of q's samples over the recordings, by iteration, beside the population that was drawn from."""
+    names = _iterations(models)
+    every = [np.array(models[n]["pooled_draws"][j]) for n in names]
+    mean, sd = truth["mean"][j], truth["sd"][j]
+    low, high = (f([mean - 4 * sd, mean + 4 * sd, *np.quantile(np.concatenate(every), q)]) for f, q in
+                 ((min, [0.01]), (max, [0.99])))  # fmt: skip
+    x = np.linspace(low, high, 201)
+    traces, axes = [], []
+    for row, draws in enumerate(every):
+        heights, edges = np.histogram(draws, np.linspace(low, high, 61), density=True)
+        bars = {"type": "bar", "x": canvas.array((edges[:-1] + edges[1:]) / 2), "y": canvas.array(heights)}
+        style = {"marker": {"color": canvas.soft(canvas.AFTER)}, "yaxis": canvas.y_name(row), "hoverinfo": "skip"}
+        traces.append(bars | style | {"name": names[row]})
+        truth_line = {"y_axis": canvas.y_name(row), "line": {"dash": "dot"}}
+        traces.append(canvas.line(x, norm.pdf(x, mean, sd), "truth", canvas.OBSERVED, **truth_line))
+        axes.append({"rangemode": "tozero"})
+    title = "" if unit == "1" else f"[{unit}]"
+    return {"data": traces, "layout": canvas.panels(names, title, axes) | {"bargap": 0.0}}
+
+
+def pose_figure(poses: Sequence[Mapping[str, Any]], side: str) -> Spec:
+    """Recordings laid over each other at some samples; the hidden block inside the box."""
+    right, up = SIDES[side]
+    traces = []
+    for pose, colour in zip(poses, (canvas.OBSERVED, canvas.BEFORE, canvas.AFTER), strict=True):
+        for part, width, dash in (("box", 1.0, "solid"), ("block", 0.7, "dot")):
+            x, y = [], []
+            for outline in pose[part]:
+                for edge in outline:
+                    x += [round(point[right], 3) for point in edge] + [None]
+                    y += [round(point[up], 3) for point in edge] + [None]
+            trace = {"type": "scatter", "mode": "lines", "x": x, "y": y, "hoverinfo": "skip", "opacity": 0.5}
+            traces.append(trace | {"line": {"color": colour, "width": width, "dash": dash}})
+    titles = ["x [m]", "y [m]", "z [m]"]
+    axes = {"xaxis": canvas.axis(titles[right]), "yaxis": canvas.axis(titles[up], scaleanchor="x")}
+    return {"data": traces, "layout": canvas.layout(380, **axes)}
+
+
+def sweep_figure(sweep: Mapping[str, Any]) -> Spec:
+    """The box's place over time for several values of one psi."""
+    traces, names = [], ["x [m]", "y [m]", "z [m]"]
+    for value, path, colour in zip(sweep["values"], sweep["position"], SHADES, strict=True):
+        path = np.asarray(path)
+        time = 0.04 * np.arange(len(path))
+        for row in range(3):
+            hover = "%{y:.3~g}"
+            traces.append(
+                canvas.line(time, path[:, row], f"{value:.3g}", colour, y_axis=canvas.y_name(row), hovertemplate=hover)
+            )
+    return {"data": traces, "layout": canvas.panels(names, "time [s]", [{}, {}, {}])}
+
+
+def density_figure(found: Mapping[str, Any], shown: Sequence[str], state: Sequence[str]) -> Spec:
+    """p(s' - s | s) in each of the dimensions, with KL(simulator || model)."""
+    rows = -(-len(state) // COLUMNS)
+    spec = canvas.layout(CELL * rows, annotations=[])
+    traces = []
+    for i, name in enumerate(state):
+        row, column = divmod(i, COLUMNS)
+        x_name, y_name = (f"{axis}{i + 1}" if i else axis for axis in "xy")
+        left, top = column / COLUMNS, 1 - row / rows
+        room = {"domain": [left, left + 0.92 / COLUMNS], "anchor": y_name, "nticks": 3}
+        spec["xaxis" + x_name[1:]] = canvas.axis(**room, tickfont={"size": 9})
+        own = {"domain": [top - 0.55 / rows, top - 0.15 / rows], "anchor": x_name, "showticklabels": False}
+        spec["yaxis" + y_name[1:]] = canvas.axis(**own, rangemode="tozero")
+        edges = np.asarray(found["edges"][i])
+        middle = (edges[:-1] + edges[1:]) / 2
+        for which, colour in zip(shown, (canvas.OBSERVED, canvas.AFTER, canvas.BEFORE), strict=True):
+            if which in found["heights"]:
+                height = np.asarray(found["heights"][which][i])
+                traces.append(canvas.line(middle, height, which, colour, width=1.2, y_axis=y_name, xaxis=x_name))
+        apart = " / ".join(numbers.number(found["divergence"][w][i], 2) for w in shown[1:] if w in found["divergence"])
+        place = {"x": left, "y": top - 0.14 / rows, "xref": "paper", "yref": "paper", "showarrow": False}
+        style = {"xanchor": "left", "yanchor": "bottom", "font": {"size": 11, "color": "var(--text)"}}
+        spec["annotations"].append({"text": f"{name}: KL {apart}"} | place | style)
+    return {"data": traces, "layout": spec}

@@ -1,0 +1,198 @@
+"""The thesis' algorithm on transitions: simulate, learn the decoder, freeze it, learn the encoder, move psi's prior.
+
+What is inferred is kept apart: q of one transition, the posterior of one episode, and the population that episodes'
+psi come from. The pooled sd of q over all transitions, which the source reports, is none of these: it holds every
+transition's own uncertainty as well.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from det2stoc_bayes.inference._cvae import Cvae, HybridELBO, Schedule, optimize, standard_normal
+from det2stoc_bayes.inference._episodes import Episodes, population_draws
+from det2stoc_bayes.inference._networks import Decoder, Encoder
+from det2stoc_bayes.inference._stochastic import StochasticSimulator
+from det2stoc_bayes.transitions import Scaling, Transitions
+
+Progress = Callable[[str, int, int], None]
+History = Sequence[tuple[int, float, float]]
+VALIDATION = 0.2  # share of rows that training does not see
+MOST_JUDGED = 20_000  # rows: a judgement on more costs more than it tells
+NUM_DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Options:
+    """Sizes and schedules. alpha: weight of the ELBO beside the expectation over the prior."""
+
+    full: bool = False
+    alpha: float = 0.8
+    dropout: float = 0.2
+    width: int = 64
+    few: tuple[int, int] = (3000, 32)  # fewer rows than this: a baseline of this width, the better one there
+    decoder: Schedule = Schedule(num_steps=12_000, batch=1000, learning_rate=5e-3)
+    encoder: Schedule = Schedule(num_steps=2_000, batch=256, learning_rate=1e-3)
+    baseline: Schedule = Schedule(num_steps=8_000, batch=256, learning_rate=2e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """Normals that psi is drawn from, one a parameter."""
+
+    loc: Float[np.ndarray, " psi"]
+    scale: Float[np.ndarray, " psi"]
+
+    def standard(self, psi: Float[np.ndarray, "rows psi"]) -> Float[np.ndarray, "rows psi"]:
+        """psi in the measure that the latent has."""
+        return (psi - self.loc) / self.scale
+
+
+@dataclass(frozen=True, eq=False)
+class Iteration:
+    """One turn of the algorithm, all of it in psi's own units."""
+
+    cvae: Cvae
+    simulator: StochasticSimulator
+    believed: Population  # that psi was simulated from
+    pooled_draws: Float[np.ndarray, "rows psi"]  # q's samples, one a transition
+    episode_means: Float[np.ndarray, "episodes psi"]
+    episode_covariances: Float[np.ndarray, "episodes psi psi"]
+    mean_draws: Float[np.ndarray, "draws psi"]  # posterior of the population's mean
+    sd_draws: Float[np.ndarray, "draws psi"]  # and of its sd
+    divergences: Float[np.ndarray, " z"]  # KL(q || prior) of each latent, mean over transitions [nat]
+    history: Mapping[str, History]
+
+    @property
+    def pooled(self) -> Population:
+        """Of q's samples over all transitions: the source's figure."""
+        return Population(self.pooled_draws.mean(0), self.pooled_draws.std(0))
+
+    @property
+    def next_population(self) -> Population:
+        """What an episode to come is expected to have: the population, and how unsure one is of it."""
+        spread = np.sqrt((self.sd_draws**2).mean(0) + self.mean_draws.var(0))
+        return Population(self.mean_draws.mean(0), spread)
+
+
+def pretrain(
+    simulated: Transitions,
+    z: Float[np.ndarray, "rows z"],
+    scaling: Scaling,
+    key: PRNGKeyArray,
+    options: Options,
+    progress: Progress,
+) -> tuple[Decoder, History]:
+    """p(s' - s | s, a, z) by maximum likelihood on simulations, psi in the place of z."""
+    x, y = scaling.standard(simulated)
+    net, split, train = jax.random.split(key, 3)
+    decoder = Decoder(x.shape[1], z.shape[1], y.shape[1], net, full=options.full, width=options.width)
+    template = Cvae(Encoder(x.shape[1], y.shape[1], z.shape[1], net), decoder, standard_normal(z.shape[1]), False)
+    params, history = optimize(
+        HybridELBO(1.0), template.model, template.guide, *_split(split, simulated, x, y, z.astype(np.float32)), train,
+        options.decoder, progress=lambda done, total: progress("training the decoder", done, total),
+    )  # fmt: skip
+    return template.with_params(params).decoder, history
+
+
+def marginal(
+    simulated: Transitions, key: PRNGKeyArray, options: Options, progress: Progress
+) -> tuple[StochasticSimulator, History]:
+    """p(s' - s | s, a) with psi integrated out: learned from simulations under the population, psi not shown.
+
+    The state betrays psi, and what it betrays the network uses; a single z from the prior then costs nothing.
+    """
+    scaling = Scaling.of(simulated)
+    decoder, history = pretrain(simulated, np.zeros((len(simulated), 0)), scaling, key, options, progress)
+    return StochasticSimulator(decoder, scaling), history
+
+
+def recognize(
+    real: Transitions, decoder: Decoder, scaling: Scaling, key: PRNGKeyArray, options: Options, progress: Progress
+) -> tuple[Cvae, History]:
+    """q(z | s, a, s') on recordings under the frozen decoder."""
+    x, y = scaling.standard(real)
+    net, split, train = jax.random.split(key, 3)
+    encoder = Encoder(x.shape[1], y.shape[1], decoder.latents, net, drop=options.dropout, full=options.full)
+    cvae = Cvae(encoder, decoder, standard_normal(decoder.latents), True)
+    params, history = optimize(
+        HybridELBO(options.alpha), cvae.model, cvae.guide, *_split(split, real, x, y), train, options.encoder,
+        progress=lambda done, total: progress("training the encoder", done, total),
+    )  # fmt: skip
+    return cvae.with_params(params), history
+
+
+def iterate(
+    real: Transitions,
+    simulated: Transitions,
+    psi: Float[np.ndarray, "rows psi"],
+    believed: Population,
+    key: PRNGKeyArray,
+    options: Options = Options(),
+    progress: Progress = lambda *_: None,
+) -> Iteration:
+    """One turn of the algorithm; `psi` are those of the simulated rows."""
+    keys = jax.random.split(key, 4)
+    scaling = Scaling.of(simulated)
+    decoder, learned = pretrain(simulated, believed.standard(psi), scaling, keys[0], options, progress)
+    cvae, recognized = recognize(real, decoder, scaling, keys[1], options, progress)
+    x, y = scaling.standard(real)
+    mean, scale = jax.vmap(cvae.encoder)(jnp.asarray(x), jnp.asarray(y))
+    factor = scale if scale.ndim > mean.ndim else scale[..., None] * jnp.eye(mean.shape[-1], dtype=mean.dtype)
+    samples = mean + jnp.einsum("rij,rj->ri", factor, jax.random.normal(keys[2], mean.shape, mean.dtype))
+    means, covariances = Episodes.of(cvae, x, y, real.episode).posteriors()
+    centre, spread = population_draws(means, covariances, keys[3], NUM_DRAWS)
+    variances = np.asarray((factor**2).sum(-1), float)
+    prior_divergence = 0.5 * (variances + np.asarray(mean, float) ** 2 - 1 - np.log(variances))
+    loc, sd = believed.loc, believed.scale
+    return Iteration(
+        cvae,
+        StochasticSimulator(cvae.decoder, scaling),
+        believed,
+        loc + sd * np.asarray(samples, float),
+        loc + sd * means,
+        covariances * np.outer(sd, sd),
+        loc + sd * centre,
+        sd * spread,
+        prior_divergence.mean(0),
+        {"decoder": learned, "encoder": recognized},
+    )
+
+
+def baseline(
+    real: Transitions,
+    num_latents: int,
+    key: PRNGKeyArray,
+    options: Options = Options(),
+    progress: Progress = lambda *_: None,
+) -> tuple[StochasticSimulator, Cvae, History]:
+    """A CVAE of the same networks that learns from recordings alone."""
+    scaling = Scaling.of(real)
+    x, y = scaling.standard(real)
+    keys = jax.random.split(key, 4)
+    width = options.few[1] if len(real) < options.few[0] else options.width
+    shape: dict[str, Any] = {"full": options.full, "width": width}
+    encoder = Encoder(x.shape[1], y.shape[1], num_latents, keys[0], drop=options.dropout, **shape)
+    decoder = Decoder(x.shape[1], num_latents, y.shape[1], keys[1], **shape)
+    cvae = Cvae(encoder, decoder, standard_normal(num_latents), False)
+    params, history = optimize(
+        HybridELBO(options.alpha), cvae.model, cvae.guide, *_split(keys[2], real, x, y), keys[3], options.baseline,
+        progress=lambda done, total: progress("training the baseline", done, total),
+    )  # fmt: skip
+    cvae = cvae.with_params(params)
+    return StochasticSimulator(cvae.decoder, scaling), cvae, history
+
+
+def _split(key: PRNGKeyArray, data: Transitions, *arrays: np.ndarray) -> tuple[list[Any], list[Any]]:
+    """Rows to learn from and rows to judge by, which are whole episodes: neighbours in time are alike."""
+    episodes = np.unique(data.episode)
+    order = np.asarray(jax.random.permutation(key, len(episodes)))
+    held = np.isin(data.episode, episodes[order[: max(int(VALIDATION * len(episodes)), 1)]])
+    judged = np.flatnonzero(held)
+    judged = judged[:: -(-len(judged) // MOST_JUDGED)]
+    return [jnp.asarray(a[~held]) for a in arrays], [jnp.asarray(a[judged]) for a in arrays]

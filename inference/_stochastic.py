@@ -1,0 +1,138 @@
+"""A learned stochastic simulator: p(s' | s, a) with a latent in the place of psi."""
+
+import io
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro.distributions as dist
+from jaxtyping import Array, Float, Key, PRNGKeyArray
+
+from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.files import atomic_write
+from det2stoc_bayes.inference._cvae import normal, standard_normal
+from det2stoc_bayes.inference._networks import Decoder
+from det2stoc_bayes.transitions import Scaling, Transitions
+
+FORMAT = "det2stoc stochastic simulator 1"
+
+
+@dataclass(frozen=True, eq=False)
+class StochasticSimulator:
+    """A decoder, the prior of its latent, and the units it works in.
+
+    `rotations`: where rotation matrices (nine numbers, by rows) begin in the state; next states hold the nearest ones.
+    """
+
+    decoder: Decoder
+    scaling: Scaling
+    rotations: tuple[int, ...] = ()
+
+    @property
+    def prior(self) -> dist.Distribution:
+        """The latent's."""
+        return standard_normal(self.decoder.latents)
+
+    def sample(
+        self,
+        key: PRNGKeyArray,
+        state: Float[np.ndarray, "rows s"],
+        action: Float[np.ndarray, "rows a"],
+        z: Float[Array, "rows z"] | None = None,
+    ) -> Float[np.ndarray, "rows s"]:
+        """Next states; every row's latent is drawn from the prior where none is given."""
+        latent, noise = jax.random.split(key)
+        given = np.concatenate([state, action], 1)
+        z = self.prior.sample(latent, (len(state),)) if z is None else z
+        mean, scale = _decode(self.decoder, jnp.asarray(self.scaling.inputs(given)), jnp.asarray(z, jnp.float32))
+        drawn = np.asarray(normal(mean, scale).sample(noise), float)
+        return self._valid(state + self.scaling.linear(given) + drawn * self.scaling.change_sd)
+
+    def _valid(self, state: Float[np.ndarray, "*rows s"]) -> Float[np.ndarray, "*rows s"]:
+        """The state with its rotation matrices replaced by the nearest rotations."""
+        for begin in self.rotations:
+            block = state[..., begin : begin + 9]
+            state[..., begin : begin + 9] = nearest_rotation(block.reshape(*block.shape[:-1], 3, 3)).reshape(
+                block.shape
+            )
+        return state
+
+    def rollout(
+        self,
+        key: PRNGKeyArray,
+        state: Float[np.ndarray, "rows s"],
+        actions: Float[np.ndarray, "rows steps a"],
+        *,
+        hold: bool = True,
+    ) -> Float[np.ndarray, "rows samples s"]:
+        """States of episodes, the first one included; `hold`: an episode's latent stays what it is, as psi does."""
+        first, key = jax.random.split(key)
+        z = self.prior.sample(first, (len(state),)) if hold else None
+        out = [np.asarray(state, float)]
+        for k in range(actions.shape[1]):
+            key, now = jax.random.split(key)
+            out.append(self.sample(now, out[-1], actions[:, k], z))
+        return np.stack(out, 1)
+
+    def draws(
+        self, key: PRNGKeyArray, data: Transitions, num_draws: int
+    ) -> tuple[Float[np.ndarray, "draws rows s"], Float[np.ndarray, "draws rows"]]:
+        """Changes drawn for every row, and log p(change | s, a, z) of the recorded one under each draw's latent."""
+        x, y = (jnp.asarray(a) for a in self.scaling.standard(data))
+        drawn, terms = _drawn(self.decoder, x, y, jax.random.split(key, num_draws))
+        changes = self.scaling.linear(data.given) + np.asarray(drawn, float) * self.scaling.change_sd
+        changes = self._valid(data.state + changes) - data.state if self.rotations else changes
+        return changes, np.asarray(terms, float) - self.scaling.log_volume
+
+    def save(self, path: Path) -> None:
+        """One file: a line of JSON, then the networks."""
+        buffer = io.BytesIO()
+        units = {name: value.tolist() for name, value in asdict(self.scaling).items()}
+        header = {"format": FORMAT, "decoder": self.decoder.sizes, "scaling": units, "rotations": self.rotations}
+        buffer.write((json.dumps(header) + "\n").encode())
+        eqx.tree_serialise_leaves(buffer, self.decoder)
+        atomic_write(path, buffer.getvalue())
+
+    @classmethod
+    def load(cls, path: Path) -> "StochasticSimulator":
+        """What `save` wrote."""
+        try:
+            with path.open("rb") as file:
+                header: dict[str, Any] = json.loads(file.readline())
+                if header["format"] != FORMAT:
+                    raise ValueError
+                like = Decoder(**header["decoder"], key=jax.random.key(0))
+                decoder = eqx.tree_deserialise_leaves(file, like)
+                scaling = Scaling(**{name: np.asarray(v) for name, v in header["scaling"].items()})
+                return cls(decoder, scaling, tuple(header["rotations"]))
+        except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+            raise Det2StocError(f"{path}: found no stochastic simulator; allowed: a file that save() wrote") from error
+
+
+def nearest_rotation(matrix: Float[np.ndarray, "*rows 3 3"]) -> Float[np.ndarray, "*rows 3 3"]:
+    """In the Frobenius norm (Kabsch 1976): U diag(1, 1, det) V' of the singular value decomposition."""
+    u, _, v = np.linalg.svd(matrix)
+    u[..., :, 2] *= np.sign(np.linalg.det(u @ v))[..., None]
+    return u @ v
+
+
+@eqx.filter_jit
+def _decode(decoder: Decoder, x: Float[Array, "rows x"], z: Float[Array, "rows z"]) -> tuple[Array, Array]:
+    return jax.vmap(decoder)(x, z)
+
+
+@eqx.filter_jit
+def _drawn(
+    decoder: Decoder, x: Float[Array, "rows x"], y: Float[Array, "rows y"], keys: Key[Array, " draws"]
+) -> tuple[Float[Array, "draws rows y"], Float[Array, "draws rows"]]:
+    def one(key: PRNGKeyArray) -> tuple[Array, Array]:
+        latent, noise = jax.random.split(key)
+        p = normal(*jax.vmap(decoder)(x, standard_normal(decoder.latents).sample(latent, (len(x),))))
+        return p.sample(noise), p.log_prob(y)
+
+    return jax.lax.map(one, keys)
