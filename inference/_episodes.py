@@ -1,7 +1,9 @@
 """What a learned decoder says of whole episodes: each one's psi, and the population that they come from."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,7 +15,6 @@ from jaxtyping import Array, Float
 from numpyro.infer import MCMC, NUTS
 
 from det2stoc_bayes.inference._cvae import Cvae, normal
-from det2stoc_bayes.inference._networks import Decoder
 
 STEPS = 60
 HALVINGS = 8
@@ -61,7 +62,7 @@ class Episodes:
 
 
 def log_joint(
-    decoder: Decoder,
+    decoder: Callable[..., Any],
     z: Float[Array, " z"],
     x: Float[Array, "steps x"],
     y: Float[Array, "steps y"],
@@ -72,7 +73,7 @@ def log_joint(
     return (weight * normal(mean, scale).log_prob(y)).sum() - 0.5 * (z**2).sum()
 
 
-def _fisher(decoder: Decoder, z: Array, x: Array, weight: Array) -> Float[Array, "z z"]:
+def _fisher(decoder: Callable[..., Any], z: Array, x: Array, weight: Array) -> Float[Array, "z z"]:
     """Expected information about an episode's z, the prior's included."""
 
     def natural(z: Array) -> tuple[Array, Array, Array]:
@@ -90,7 +91,9 @@ def _fisher(decoder: Decoder, z: Array, x: Array, weight: Array) -> Float[Array,
 
 
 @eqx.filter_jit
-def _summits(decoder: Decoder, start: Array, x: Array, y: Array, weight: Array) -> tuple[Array, Array, Array]:
+def _summits(
+    decoder: Callable[..., Any], start: Array, x: Array, y: Array, weight: Array
+) -> tuple[Array, Array, Array]:
     """Height, place and covariance of each episode's summit, climbed from a start."""
 
     def one(z: Array, x: Array, y: Array, weight: Array) -> tuple[Array, Array, Array]:
