@@ -38,7 +38,7 @@ def windy_slope_page(result: Mapping[str, Any]) -> str:
         settings=settings,
         headings=list(METRICS.values()),
         models=[_model(r, settings["num_seeds"]) for r in rows],
-        oracles={k: numbers.number(v, 4) for k, v in result["oracles"].items() if isinstance(v, float)},
+        oracles={k: result["oracles"][k] and numbers.number(result["oracles"][k], 4) for k in ("population", "state")},
         likelihood=page.embedded(likelihood_figure(rows, result["oracles"])),
         recovered=[row for j in range(len(scene["names"])) for row in _recovered(result, j)],
         posterior_height=canvas.ROW * settings["num_iterations"],
@@ -118,6 +118,8 @@ def likelihood_figure(rows: Sequence[Mapping[str, Any]], oracles: Mapping[str, A
         )  # fmt: skip
     span = np.array([500.0, 12000.0])
     for key, name in (("population", "oracle: psi from its population"), ("state", "oracle: psi from p(psi | state)")):
+        if oracles[key] is None:
+            continue
         level = np.full(2, oracles[key])
         traces.append(canvas.line(span, level, name, canvas.OBSERVED, line={"dash": "dot"}, hovertemplate="%{y:.4~g}"))
     axes = {"xaxis": canvas.axis("recorded transitions", type="log"), "yaxis": canvas.axis("nat a transition")}

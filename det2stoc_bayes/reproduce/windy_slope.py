@@ -19,6 +19,7 @@ from det2stoc_bayes.report.windy_slope_page import windy_slope_page as page
 from det2stoc_bayes.reproduce.parts import Progress, kept
 from det2stoc_bayes.reproduce.windy_slope_figures import figures
 from det2stoc_bayes.reproduce.windy_slope_scores import (
+    NEIGHBOURS,
     population_oracle,
     rolled_out,
     rollout_scores,
@@ -244,9 +245,10 @@ def _oracles(work: Work, tested: np.ndarray, test: Transitions) -> dict[str, Any
     settings, stage = work.settings, partial(work.progress, "asking the oracle")
     psi = windy_slope.REALITY.draw(work.random(4), max(settings.num_simulated, settings.num_oracle))
     states = work.simulate(psi, "simulating for the oracle")
-    ask = windy_slope.simulate
+    ask, few = windy_slope.simulate, settings.num_oracle // 3
+    enough = len(psi) >= 2 * NEIGHBOURS  # a regression on fewer would be surer than it may be
     return {
         "population": population_oracle(test, psi[: settings.num_oracle], ask, stage),
-        "state": state_oracle(test, psi, states, settings.num_oracle // 3, work.random(6), ask, stage),
+        "state": state_oracle(test, psi, states, few, work.random(6), ask, stage) if enough else None,
         **rollout_scores(states[: settings.num_draws], tested),
     }
