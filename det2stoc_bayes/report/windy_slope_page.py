@@ -29,7 +29,8 @@ def windy_slope_page(result: Mapping[str, Any]) -> str:
     return page.render(
         "windy_slope.html.j2",
         title="Windy Slope: det2stoc against a CVAE",
-        verdict="no_mismatch" if ahead > 0 else "mismatch",
+        verdict="mismatch",  # whose page has two colours
+        badge_kind="no_mismatch" if ahead > 0 else "mismatch",
         badge="det2stoc ahead" if ahead > 0 else "baseline ahead",
         ours=ours,
         rival=rival,
