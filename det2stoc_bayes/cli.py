@@ -107,9 +107,7 @@ def diagnose(
         diagnosis = verbs.diagnose(_load(study), seed=seed, exact=exact, progress=stages)
         diagnosis.write(out)
     finding = diagnosis.finding
-    _show(finding.model_dump(mode="json") if as_json else tables.finding_tables(finding), as_json)
-    if not as_json:
-        _show(f"Report: {out / 'report.html'}", as_json)
+    _show_report(finding.model_dump(mode="json") if as_json else tables.finding_tables(finding), out, as_json)
 
 
 @app.command()
@@ -134,9 +132,7 @@ def reproduce(
         result = module.run(out, seed=seed, quick=quick, progress=stages)
         atomic_write(out / "results.json", json.dumps(result))
         atomic_write(out / "report.html", module.page(result))
-    _show(result if as_json else tables.experiment_table(result), as_json)
-    if not as_json:
-        _show(f"Report: {out / 'report.html'}", as_json)
+    _show_report(result if as_json else tables.experiment_table(result), out, as_json)
 
 
 @app.command()
@@ -270,3 +266,10 @@ def _show(result: "rich.console.RenderableType | dict[str, Any] | list[Any]", as
 
     console = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
     console.print(result, soft_wrap=isinstance(result, str))
+
+
+def _show_report(result: "rich.console.RenderableType | dict[str, Any]", out: Path, as_json: bool) -> None:
+    """The same, and where the report is."""
+    _show(result, as_json)
+    if not as_json:
+        _show(f"Report: {out / 'report.html'}", as_json)

@@ -12,8 +12,15 @@ def matched_log_density(
     draws: Float[np.ndarray, "draws points size"], true: Float[np.ndarray, "points size"], floor: float = FLOOR
 ) -> Float[np.ndarray, " points"]:
     """log density of the diagonal Gaussian with the draws' moments, summed over dimensions."""
-    mean, sd = draws.mean(0), np.maximum(draws.std(0), floor)
-    return (-0.5 * ((true - mean) / sd) ** 2 - np.log(sd) - 0.5 * np.log(2 * np.pi)).sum(-1)
+    return gaussian_log_density(true - draws.mean(0), draws.std(0), floor)
+
+
+def gaussian_log_density(
+    off: Float[np.ndarray, "points size"], sd: Float[np.ndarray, "points size"], floor: float = FLOOR
+) -> Float[np.ndarray, " points"]:
+    """log density of a diagonal Gaussian at a distance from its mean, its sd at least the floor."""
+    sd = np.maximum(sd, floor)
+    return (-0.5 * (off / sd) ** 2 - np.log(sd) - 0.5 * np.log(2 * np.pi)).sum(-1)
 
 
 def mixture_log_density(terms: Float[np.ndarray, "draws points"]) -> Float[np.ndarray, " points"]:

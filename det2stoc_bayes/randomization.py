@@ -3,7 +3,7 @@
 import csv
 import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import atomic_write
-from det2stoc_bayes.mismatch.patch import assets, make_patch
+from det2stoc_bayes.mismatch.patch import make_patch
 from det2stoc_bayes.posterior import DataTree
-from det2stoc_bayes.quantiles import library, truncated_normal
-from det2stoc_bayes.study import Parameter, Study
+from det2stoc_bayes.study import Study
+from det2stoc_bayes.unknowns import of_population
 
 TABLE = "psi.csv"
 
@@ -36,21 +36,14 @@ def draw_psi(
             raise Det2StocError(f"the posterior has no psi '{name}', which study.toml declares; it has {found}")
         return np.asarray(posterior[name].values, float).reshape(total, -1)[rows, 0]
 
-    columns = [_of_population(p, column, random) if p.varies == "trajectory" else column(p.name) for p in
-               study.parameters]  # fmt: skip
+    columns = []
+    for p in study.parameters:
+        if p.varies == "trajectory":
+            z = random.standard_normal(num_draws)
+            columns.append(np.asarray(of_population(p, column(f"{p.name}_mu"), column(f"{p.name}_sigma"), z)))
+        else:
+            columns.append(column(p.name))
     return np.stack(columns, 1)
-
-
-def _of_population(
-    parameter: Parameter, column: Callable[[str], np.ndarray], random: np.random.Generator
-) -> Float[np.ndarray, " draws"]:
-    """A new episode's value: Normal(mu, sigma) within the prior's support."""
-    mu, sigma = column(f"{parameter.name}_mu"), column(f"{parameter.name}_sigma")
-    low, high = parameter.prior.support
-    z = random.standard_normal(len(mu))
-    if np.isinf(low) and np.isinf(high):
-        return mu + sigma * z
-    return np.asarray(truncated_normal({"loc": mu, "scale": sigma, "low": low, "high": high}, z, library(np)))
 
 
 def export(
@@ -72,6 +65,7 @@ def export(
     width = len(str(num_draws))
     files = [f"model_{i + 1:0{width}d}.xml" if models else "" for i in range(num_draws)]
     texts: dict[Path, str | bytes] = {}
+    assets: Mapping[str, Path] = {}
     for i, row in enumerate(psi if models else ()):
         patch = make_patch(study, dict(zip(names, map(float, row), strict=True)))
         if patch.module is not None:
@@ -79,10 +73,9 @@ def export(
                 f"{study.folder}: MJCF cannot say all that psi sets; allowed: --no-models, for the table alone"
             )
         texts[folder / files[i]] = patch.model
+        assets = patch.assets
         progress(i + 1, num_draws)
-    if models:
-        root = Path(os.path.abspath(study.folder))
-        texts |= {folder / f.relative_to(root): f.read_bytes() for f in map(Path, map(os.path.abspath, assets(study)))}
+    texts |= {folder / name: file.read_bytes() for name, file in assets.items()}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["model", *names] if models else names)

@@ -67,12 +67,8 @@ class Block:
 
     def values(self, z: Array, xp: ModuleType = np) -> Array:
         """psi of every recording (..., recordings)."""
-        low, high = self.parameter.prior.support
         loc, scale = self.population(z, xp)[..., None], self.sigma(z, xp)[..., None]
-        own = z[..., self.first_own : self.stop]
-        if np.isinf(low) and np.isinf(high):
-            return loc + scale * own
-        return truncated_normal({"loc": loc, "scale": scale, "low": low, "high": high}, own, library(xp))
+        return of_population(self.parameter, loc, scale, z[..., self.first_own : self.stop], xp)
 
 
 @dataclass(frozen=True)
@@ -138,6 +134,14 @@ class Unknowns:
             values = b.values(z, xp)
             out |= {f"{name}[{r}]": values[..., k] for k, r in enumerate(self.recordings)}
         return out
+
+
+def of_population(parameter: Parameter, mu: Array, sigma: Array, z: Array, xp: ModuleType = np) -> Array:
+    """Values of Normal(mu, sigma) truncated to the prior's support, from standard normals z."""
+    low, high = parameter.prior.support
+    if np.isinf(low) and np.isinf(high):
+        return mu + sigma * z
+    return truncated_normal({"loc": mu, "scale": sigma, "low": low, "high": high}, z, library(xp))
 
 
 def lay_out(parameters: Sequence[Parameter], recordings: Sequence[str], spreads: Sequence[float] | None) -> Unknowns:

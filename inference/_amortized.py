@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from det2stoc_bayes.inference._cvae import Cvae, HybridELBO, Schedule, optimize, standard_normal
+from det2stoc_bayes.inference._cvae import Cvae, HybridELBO, Schedule, normal, optimize, standard_normal
 from det2stoc_bayes.inference._episodes import Episodes, population_draws
 from det2stoc_bayes.inference._networks import Decoder, Encoder
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
@@ -142,24 +142,22 @@ def iterate(
     decoder, learned = pretrain(simulated, believed.standard(psi), scaling, keys[0], options, progress)
     cvae, recognized = recognize(real, decoder, scaling, keys[1], options, progress)
     x, y = scaling.standard(real)
-    mean, scale = jax.vmap(cvae.encoder)(jnp.asarray(x), jnp.asarray(y))
-    factor = scale if scale.ndim > mean.ndim else scale[..., None] * jnp.eye(mean.shape[-1], dtype=mean.dtype)
-    samples = mean + jnp.einsum("rij,rj->ri", factor, jax.random.normal(keys[2], mean.shape, mean.dtype))
+    q = normal(*jax.vmap(cvae.encoder)(jnp.asarray(x), jnp.asarray(y)))
     means, covariances = Episodes.of(cvae, x, y, real.episode).posteriors()
     centre, spread = population_draws(means, covariances, keys[3], NUM_DRAWS)
-    variances = np.asarray((factor**2).sum(-1), float)
-    prior_divergence = 0.5 * (variances + np.asarray(mean, float) ** 2 - 1 - np.log(variances))
+    q_mean, q_variance = np.asarray(q.mean, float), np.asarray(q.variance, float)
+    divergences = 0.5 * (q_variance + q_mean**2 - 1 - np.log(q_variance))
     loc, sd = believed.loc, believed.scale
     return Iteration(
         cvae,
         StochasticSimulator(cvae.decoder, scaling),
         believed,
-        loc + sd * np.asarray(samples, float),
+        loc + sd * np.asarray(q.sample(keys[2]), float),
         loc + sd * means,
         covariances * np.outer(sd, sd),
         loc + sd * centre,
         sd * spread,
-        prior_divergence.mean(0),
+        divergences.mean(0),
         {"decoder": learned, "encoder": recognized},
     )
 
@@ -170,7 +168,7 @@ def baseline(
     key: PRNGKeyArray,
     options: Options = Options(),
     progress: Progress = lambda *_: None,
-) -> tuple[StochasticSimulator, Cvae, History]:
+) -> tuple[StochasticSimulator, History]:
     """A CVAE of the same networks that learns from recordings alone."""
     scaling = Scaling.of(real)
     x, y = scaling.standard(real)
@@ -184,8 +182,7 @@ def baseline(
         HybridELBO(options.alpha), cvae.model, cvae.guide, *_split(keys[2], real, x, y), keys[3], options.baseline,
         progress=lambda done, total: progress("training the baseline", done, total),
     )  # fmt: skip
-    cvae = cvae.with_params(params)
-    return StochasticSimulator(cvae.decoder, scaling), cvae, history
+    return StochasticSimulator(cvae.with_params(params).decoder, scaling), history
 
 
 def _split(key: PRNGKeyArray, data: Transitions, *arrays: np.ndarray) -> tuple[list[Any], list[Any]]:

@@ -14,6 +14,7 @@ import mujoco.batch
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 MODEL = Path(__file__).with_suffix(".xml")
 NAMES = ("friction", "com", "wind")
@@ -92,15 +93,10 @@ def prepared(model: mujoco.MjModel, psi: Float[np.ndarray, "episodes 3"], num_th
 def write_state(qpos: np.ndarray, qvel: np.ndarray, out: np.ndarray) -> None:
     """18 numbers from MuJoCo's 13."""
     out[:, :3], out[:, 12:] = qpos[:, :3], qvel
-    w, x, y, z = (qpos[:, 3:7] / np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)).T
-    out[:, 3], out[:, 4], out[:, 5] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    out[:, 6], out[:, 7], out[:, 8] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    out[:, 9], out[:, 10], out[:, 11] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    out[:, 3:12] = Rotation.from_quat(qpos[:, 3:7], scalar_first=True).as_matrix().reshape(-1, 9)
 
 
 def full_state(state: Float[np.ndarray, "episodes 18"]) -> Float[np.ndarray, "episodes 13"]:
     """qpos and qvel of states, the nearest rotation taken."""
-    from scipy.spatial.transform import Rotation
-
     quaternion = Rotation.from_matrix(state[:, 3:12].reshape(-1, 3, 3)).as_quat(scalar_first=True)
     return np.concatenate([state[:, :3], quaternion, state[:, 12:]], 1)

@@ -17,7 +17,7 @@ def test_a_wrong_shape_is_an_error_in_the_first_calls():
         turn(4)
     for _ in range(shapes_plugin.NUM_CALLS):
         turn()
-    with pytest.raises(ValueError, match=r"4|3"):  # numpy's own
+    with pytest.raises(ValueError, match="broadcast"):  # numpy's own
         turn(4)
 
 

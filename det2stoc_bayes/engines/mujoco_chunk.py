@@ -169,15 +169,13 @@ class Chunk:
             until, after = (self._arriving(np.concatenate([past, u[:, j, None]], 1), k)[:, -1] for u in commands.around)
             step[:] = whole * part.reshape(-1, *(1,) * (step.ndim - 1))
             if stepper is not None:
-                stepper.part(until, series["qvel"][rows, np.maximum(k - 1, 0)], k, part)
+                speeds = series["qvel"][rows, np.maximum(k - 1, 0)]
+                stepper.part(until, speeds, k, part, after if "sensordata" in live else None)
             else:
                 self._command(until)
                 self.batch.step()
+                self._command(after)
             if "sensordata" in live:
-                if stepper is not None:
-                    stepper.prepare(after)
-                else:
-                    self._command(after)
                 self.batch.forward()
             step[:] = whole
             for name, values in live.items():

@@ -86,16 +86,19 @@ class Stepper:
         past: Float[np.ndarray, "sims nv"],
         num_done: Int[np.ndarray, " sims"],
         share: Float[np.ndarray, " sims"],
+        then: Float[np.ndarray, "sims nu"] | None = None,
     ) -> None:
         """A step that lasts a share of a timestep, which the batch has been told; `past` are speeds one step ago.
 
-        Leaves all ready for `prepare`: a step begins where it ended.
+        With a command for `then` all is ready for the sensors where it ended.
         """
         self._stand(past, num_done, share)
         self.prepare(command)
         past = np.array(self.qvel)
         self.batch.step(stage=_NONE)
-        self._stand(past, num_done + share, np.ones_like(share))
+        if then is not None:
+            self._stand(past, num_done + share, np.ones_like(share))
+            self.prepare(then)
 
     def _stand(self, past: np.ndarray, num_done: np.ndarray, share: np.ndarray) -> None:
         """What the coming step looks at, so many steps after the start."""

@@ -10,7 +10,7 @@ from det2stoc_bayes.report import canvas, numbers, page
 from det2stoc_bayes.report.canvas import Spec
 
 METRICS = {
-    "matched": "Matched Gaussian", "mixture": "Mixture of 1000 z", "one_latent": "One z", "energy": "Energy score",
+    "matched": "Matched Gaussian", "mixture": "Mixture of z", "one_latent": "One z", "energy": "Energy score",
     "pit_distance": "PIT distance", "rollout_energy": "Rollouts: energy", "rollout_pit_distance": "Rollouts: PIT",
 }  # fmt: skip
 SHADES = ("var(--muted)", canvas.BEFORE, canvas.OBSERVED, canvas.AFTER, "var(--text)")
@@ -25,7 +25,8 @@ def windy_slope_page(result: Mapping[str, Any]) -> str:
     rival = max((r for r in rows if r["name"].startswith("baseline")), key=lambda r: r["metrics"]["matched"][0])
     ahead = ours["metrics"]["matched"][0] - rival["metrics"]["matched"][0]
     scene = result["scene"]
-    shown = ["simulator", _iterations(result["seeds"][0]["models"])[-1], "baseline 10000"]
+    largest = [r["name"] for r in rows if r["name"].startswith("baseline")][-1]
+    shown = ["simulator", _iterations(result["seeds"][0]["models"])[-1], largest]
     return page.render(
         "windy_slope.html.j2",
         title="Windy Slope: det2stoc against a CVAE",
@@ -55,6 +56,7 @@ def windy_slope_page(result: Mapping[str, Any]) -> str:
         densities=[
             (d["step"], page.embedded(density_figure(d, shown, scene["state"]))) for d in result["figures"]["densities"]
         ],
+        samples=[p["sample"] for p in result["figures"]["poses"]],
         shown=shown,
         density_height=CELL * -(-len(scene["state"]) // COLUMNS),
         number=numbers.number,
@@ -157,8 +159,8 @@ def pose_figure(poses: Sequence[Mapping[str, Any]], side: str) -> Spec:
             x, y = [], []
             for outline in pose[part]:
                 for edge in outline:
-                    x += [round(point[right], 3) for point in edge] + [None]
-                    y += [round(point[up], 3) for point in edge] + [None]
+                    x += [point[right] for point in edge] + [None]
+                    y += [point[up] for point in edge] + [None]
             trace = {"type": "scatter", "mode": "lines", "x": x, "y": y, "hoverinfo": "skip", "opacity": 0.5}
             traces.append(trace | {"line": {"color": colour, "width": width, "dash": dash}})
     titles = ["x [m]", "y [m]", "z [m]"]
@@ -196,10 +198,9 @@ def density_figure(found: Mapping[str, Any], shown: Sequence[str], state: Sequen
         edges = np.asarray(found["edges"][i])
         middle = (edges[:-1] + edges[1:]) / 2
         for which, colour in zip(shown, (canvas.OBSERVED, canvas.AFTER, canvas.BEFORE), strict=True):
-            if which in found["heights"]:
-                height = np.asarray(found["heights"][which][i])
-                traces.append(canvas.line(middle, height, which, colour, width=1.2, y_axis=y_name, xaxis=x_name))
-        apart = " / ".join(numbers.number(found["divergence"][w][i], 2) for w in shown[1:] if w in found["divergence"])
+            height = np.asarray(found["heights"][which][i])
+            traces.append(canvas.line(middle, height, which, colour, width=1.2, y_axis=y_name, xaxis=x_name))
+        apart = " / ".join(numbers.number(found["divergence"][which][i], 2) for which in shown[1:])
         place = {"x": left, "y": top - 0.14 / rows, "xref": "paper", "yref": "paper", "showarrow": False}
         style = {"xanchor": "left", "yanchor": "bottom", "font": {"size": 11, "color": "var(--text)"}}
         spec["annotations"].append({"text": f"{name}: KL {apart}"} | place | style)

@@ -36,6 +36,7 @@ SOURCE = {
 NUM_LATENTS = len(windy_slope.NAMES)
 PRIMARY = "matched"
 MARGINAL = "det2stoc z integrated out"
+ORACLES = {"population": "its population", "state": "p(psi | state)"}
 __all__ = ["page", "run"]
 
 
@@ -82,9 +83,17 @@ class Work:
         """States of episodes."""
         return windy_slope.simulate(psi, progress=partial(self.progress, stage))
 
+    def model(self, number: int, name: str, make) -> dict[str, Any]:
+        """What is told of a seed's model."""
+        return self.kept(_stem(number, name), make)
+
     def saved(self, number: int, name: str) -> Path:
         """Where a seed's stochastic simulator is."""
-        return self.out / "simulators" / f"seed{number}_{name.replace(' ', '_')}.d2s"
+        return self.out / "simulators" / f"{_stem(number, name)}.d2s"
+
+
+def _stem(number: int, name: str) -> str:
+    return f"seed{number}_{name.replace(' ', '_')}"
 
 
 def run(out: Path, *, seed: int = 0, quick: bool = False, progress: Progress = lambda *_: None) -> dict[str, Any]:
@@ -124,19 +133,22 @@ def rows(seeds: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _table(found: list[dict[str, Any]], oracles: Mapping[str, Any], settings: Settings) -> dict[str, Any]:
+    def spread(pair: list[float]) -> list[float | None]:
+        return [pair[0], pair[1] if settings.num_seeds > 1 else None]
+
     told = [
-        [r["name"], r["real"], *r["metrics"][PRIMARY], *r["metrics"]["mixture"], *(r["source"] or ["", ""])]
+        [
+            *(r["name"], str(r["real"]), *spread(r["metrics"][PRIMARY]), *spread(r["metrics"]["mixture"])),
+            *(r["source"] or ["", ""]),
+        ]
         for r in found
     ]
     told += [[f"oracle: psi from {name}", "", oracles[key], *[""] * 5] for key, name in ORACLES.items()]
     return {
-        "title": f"windy-slope, {settings.num_seeds} seeds: log likelihood of the test set [nat a transition]",
+        "title": f"windy-slope, seeds: {settings.num_seeds}; log likelihood of the test set [nat a transition]",
         "columns": ["model", "real samples>", "matched Gaussian>", "sd>", "mixture>", "sd>", "source>", "sd>"],
         "rows": told,
     }
-
-
-ORACLES = {"population": "its population", "state": "p(psi | state)"}
 
 
 def _one_seed(work: Work, number: int, tested: np.ndarray, test: Transitions) -> dict[str, Any]:
@@ -157,12 +169,10 @@ def _one_seed(work: Work, number: int, tested: np.ndarray, test: Transitions) ->
 
         def learn(real: Transitions = real, name: str = name) -> dict[str, Any]:
             steps = Schedule(work.settings.baseline_steps, batch=256, learning_rate=2e-3)
-            made, _, history = baseline(
-                real, NUM_LATENTS, jax.random.key(number), Options(baseline=steps), work.progress
-            )
+            made, history = baseline(real, NUM_LATENTS, jax.random.key(number), Options(baseline=steps), work.progress)
             return scored(made, name, len(real)) | {"steps": history[-1][0]}
 
-        models[name] = work.kept(f"seed{number}_{name.replace(' ', '_')}", learn)
+        models[name] = work.model(number, name, learn)
     believed: Population | None = None
     for turn in range(work.settings.num_iterations):
         count, name = REAL_EPISODES[turn], f"det2stoc {turn + 1}"
@@ -172,7 +182,7 @@ def _one_seed(work: Work, number: int, tested: np.ndarray, test: Transitions) ->
             drawn = {"mean": psi[:count].mean(0).tolist(), "sd": psi[:count].std(0, ddof=1).tolist()}
             return scored(found.simulator, name, count * windy_slope.NUM_STEPS) | told(found) | {"drawn": drawn}
 
-        models[name] = work.kept(f"seed{number}_{name.replace(' ', '_')}", turned)
+        models[name] = work.model(number, name, turned)
         believed = Population(*(np.array(models[name]["next"][k]) for k in ("loc", "scale")))
     last = work.settings.num_iterations
 
@@ -183,7 +193,7 @@ def _one_seed(work: Work, number: int, tested: np.ndarray, test: Transitions) ->
         made, _ = marginal(simulated, jax.random.key(100 * number + last), options, work.progress)
         return scored(made, MARGINAL, REAL_EPISODES[last - 1] * windy_slope.NUM_STEPS)
 
-    models[MARGINAL] = work.kept(f"seed{number}_{MARGINAL.replace(' ', '_')}", integrated)
+    models[MARGINAL] = work.model(number, MARGINAL, integrated)
     return {"seed": number, "models": models}
 
 

@@ -12,7 +12,7 @@ from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.models import windy_slope
 
 SHOWN_STEPS = (1, 50, 100)  # transitions whose densities are shown
-POSES = (0, 50, 99)  # samples at which boxes are drawn
+POSES = (0, 50, 100)  # samples at which boxes are drawn
 NUM_RECORDINGS = 10
 NUM_DRAWS = 2000
 NUM_BINS = 60
@@ -60,7 +60,7 @@ def outlines(
 
 
 def sweeps() -> list[dict[str, Any]]:
-    """Positions over time with one psi at a time between two sds of reality's population and psi_0's bounds."""
+    """Positions over time, one psi at a time between psi_0's bounds, the rest at reality's means."""
     out, middle = [], np.array(windy_slope.REALITY.loc)
     for j, (name, unit) in enumerate(zip(windy_slope.NAMES, windy_slope.UNITS, strict=True)):
         values = np.linspace(windy_slope.PRIOR.low[j], windy_slope.PRIOR.high[j], SWEEP)

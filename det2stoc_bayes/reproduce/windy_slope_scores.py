@@ -119,5 +119,5 @@ def _asked(
         total, squares = total + off, squares + off**2
         progress(k + 1, num_draws)
     mean = total / num_draws
-    sd = np.maximum(np.sqrt(np.maximum(squares / num_draws - mean**2, 0.0)), metrics.FLOOR)
-    return float((-0.5 * (mean / sd) ** 2 - np.log(sd) - 0.5 * np.log(2 * np.pi)).sum(1).mean())
+    sd = np.sqrt(np.maximum(squares / num_draws - mean**2, 0.0))
+    return float(metrics.gaussian_log_density(mean, sd).mean())
