@@ -58,7 +58,7 @@ def test_states_are_whole(swept):
 
 
 def test_a_step_from_a_state_is_the_episode_s_own(swept):
-    """But for the solver's warm start, which a state does not hold; the hit turns on last digits (97 of 99 measured)."""
+    """But for the solver's warm start, which a state does not hold; the hit turns on last digits (97 of 99 agree)."""
     psi = np.tile(scene.REALITY.loc, (99, 1))
     after = scene.simulate(psi, num_steps=1, start=scene.full_state(swept[0, :99]))
     apart = np.abs(after[:, 1] - swept[0, 1:100]).max(1)
