@@ -75,18 +75,18 @@ def fit(
         from det2stoc_bayes import posterior, tables, verbs
         from det2stoc_bayes.inference import get_method
         from det2stoc_bayes.recording import StudyWarning
-        from det2stoc_bayes.report.summary import summarize
+        from det2stoc_bayes.report.summary import predicted, summarize
 
         get_method(method)  # a name that does not exist is not worth reading a study for
         believed = _load(study)
         options = {"seed": seed, "engine": engine, "num_samples": num_samples, "progress": stages}
         tree = verbs.fit(believed, method, **options)
-        rows, path = summarize(tree), out / "fit.nc"
+        rows, told, path = summarize(tree), predicted(tree), out / "fit.nc"
         posterior.save(tree, path)
-        if told := posterior.misfit(tree):
-            warnings.warn(told, StudyWarning, stacklevel=1)
+        if misses := posterior.misfit(tree):
+            warnings.warn(misses, StudyWarning, stacklevel=1)
     title = f"{believed.name}, {method}: {num_samples} draws in {path}"
-    shown = tables.fit_json(rows, tree.attrs, str(path)) if as_json else tables.fit_table(rows, title)
+    shown = tables.fit_json(rows, told, tree.attrs, str(path)) if as_json else tables.fit_tables(rows, told, title)
     _show(shown, as_json)
 
 

@@ -187,7 +187,7 @@ class Density:
         return numpyro_model(self, terms)
 
 
-def log_prior(z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, " points"]:
+def log_prior(z: Float[np.ndarray, "*points size"]) -> Float[np.ndarray, "*points"]:
     """log N(z; 0, I)."""
     return -0.5 * ((z**2).sum(-1) + z.shape[-1] * np.log(2 * np.pi))
 

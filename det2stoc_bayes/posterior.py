@@ -36,11 +36,13 @@ PACKAGES = (
     "xarray",
 )
 GROUPS = ("posterior", "unconstrained_posterior", "sample_stats", "observed_data", "log_likelihood")
+PREDICTIVE = ("observed_data", "predictions")  # groups of a method that infers no psi
 ATTRIBUTES = (
     "method", "options", "seed", "versions", "seconds_compile", "seconds_run", "simulations", "gradients",
     "noise_inflation",
 )  # fmt: skip
 Progress = Callable[[int, int], None]  # done, of how many
+Variables = Mapping[str, tuple[tuple[str, ...], Any]]
 
 
 @dataclass
@@ -100,7 +102,12 @@ def build(
     for name in ("posterior", "unconstrained_posterior", "sample_stats", "log_likelihood"):
         groups[name] = groups[name].assign_coords(chain=np.arange(z.shape[0]), draw=np.arange(z.shape[1]))
     tree = xr.DataTree.from_dict(groups)
-    tree.attrs = {
+    tree.attrs = _attributes(problem, method, options, seed, cost) | {"noise_inflation": _inflation(density)}
+    return tree
+
+
+def _attributes(problem: Problem, method: str, options: Mapping[str, Any], seed: int, cost: Cost) -> dict[str, Any]:
+    return {
         "method": method,
         "engine": problem.simulator.engine.name,
         "options": json.dumps(dict(options), sort_keys=True),
@@ -110,8 +117,30 @@ def build(
         "seconds_run": cost.seconds_run,
         "simulations": cost.simulations,
         "gradients": cost.gradients,
-        "noise_inflation": _inflation(density),
     }
+
+
+def build_predictive(
+    problem: Problem,
+    predictions: Variables,
+    *,
+    method: str,
+    options: Mapping[str, Any],
+    seed: int,
+    cost: Cost,
+) -> xr.DataTree:
+    """The DataTree of a method that predicts, and infers no psi."""
+    cost.stop(problem)
+    tree = xr.DataTree.from_dict({"observed_data": observed_data(problem)})
+    tree.attrs = _attributes(problem, method, options, seed, cost) | {"noise_inflation": float("nan")}
+    return with_groups(tree, predictions=predictions)
+
+
+def with_groups(tree: xr.DataTree, **groups: Variables) -> xr.DataTree:
+    """The tree with further groups of (dimensions, array) by name; an empty one is left out."""
+    for name, variables in groups.items():
+        if variables:
+            tree[name] = xr.DataTree(xr.Dataset(dict(variables)))
     return tree
 
 
@@ -207,7 +236,8 @@ def load(path: str | os.PathLike[str]) -> xr.DataTree:
     except Exception as error:  # h5py, h5netcdf and xarray raise whatever they meet in a damaged file
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise Det2StocError(f"{path}: cannot be read ({reason}); allowed: a fit written by det2stoc (.nc)") from error
-    missing = [g for g in GROUPS if g not in tree.children] + [a for a in ATTRIBUTES if a not in tree.attrs]
+    groups = PREDICTIVE if set(PREDICTIVE) <= set(tree.children) and "posterior" not in tree.children else GROUPS
+    missing = [g for g in groups if g not in tree.children] + [a for a in ATTRIBUTES if a not in tree.attrs]
     if missing:
         raise Det2StocError(f"{path}: lacks {', '.join(missing)}; allowed: a fit written by det2stoc (.nc)")
     return tree

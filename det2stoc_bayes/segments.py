@@ -81,13 +81,13 @@ class Segments:
             begins = self.time[which[rows], :1] + offsets
             phase = (record.time - begins[0, 0]) / timestep
             if (np.abs(phase - np.rint(phase)) > TIME_SLACK).any():
-                each[rows] = _means(record, begins, begins + timestep)
+                each[rows] = mean_commands(record, begins, begins + timestep)
             else:
                 each[rows] = _held(record, begins, timestep)
             if around is not None:
                 stamps = self.time[which[rows]]
                 whole = self.time[which[rows], :1] + np.floor(at[which[rows]]) * timestep
-                around[0][rows] = _means(record, whole, stamps)
+                around[0][rows] = mean_commands(record, whole, stamps)
                 around[1][rows] = _held(record, stamps, timestep)
         return Commands(each, around)
 
@@ -104,7 +104,7 @@ def _held(record: Recording, time: Float[np.ndarray, "rows times"], timestep: fl
     return record.ctrl[np.clip(held, 0, None)]
 
 
-def _means(
+def mean_commands(
     recording: Recording, begins: Float[np.ndarray, "rows times"], ends: Float[np.ndarray, "rows times"]
 ) -> Float[np.ndarray, "rows times ctrl"]:
     """Means of the held commands over intervals, by their integral."""
@@ -142,17 +142,17 @@ def cut(
 
 
 def from_pieces(
-    recordings: Sequence[Recording], pieces: Sequence[tuple[int, int, int]], columns: tuple[str, ...]
+    recordings: Sequence[Recording], pieces: Sequence[tuple[int, int, int]], columns: tuple[str, ...], every: int = 1
 ) -> Segments:
-    """Segments from (recording, first sample, sample after the last) triples."""
-    longest = max(b - a for _, a, b in pieces)
+    """Segments from (recording, first sample, sample after the last) triples, `every`-th samples of them."""
+    longest = max(len(range(a, b, every)) for _, a, b in pieces)
     time = np.empty((len(pieces), longest))
     values = np.full((len(pieces), longest, len(columns)), np.nan)
     for s, (r, a, b) in enumerate(pieces):
-        record = recordings[r]
-        time[s, : b - a], time[s, b - a :] = record.time[a:b], record.time[b - 1]
+        record, count = recordings[r], len(range(a, b, every))
+        time[s, :count], time[s, count:] = record.time[a:b:every], record.time[a:b:every][-1]
         for j, column in enumerate(record.columns):
             if column in columns:
-                values[s, : b - a, columns.index(column)] = record.values[a:b, j]
+                values[s, :count, columns.index(column)] = record.values[a:b:every, j]
     index = np.array(pieces)
     return Segments(tuple(recordings), columns, index[:, 0], index[:, 1], time, values)

@@ -95,7 +95,10 @@ def check_tables(checked: "det2stoc_bayes.identifiability.Check") -> RenderableT
 
 # --- fit ------------------------------------------------------------
 def fit_json(
-    rows: Sequence["det2stoc_bayes.report.summary.Row"], attributes: Mapping[Any, Any], path: str
+    rows: Sequence["det2stoc_bayes.report.summary.Row"],
+    told: Sequence["det2stoc_bayes.report.summary.Told"],
+    attributes: Mapping[Any, Any],
+    path: str,
 ) -> dict[str, Any]:
     """A fit's summary, and where the whole of it is."""
     about = {
@@ -103,18 +106,28 @@ def fit_json(
         for k in ("method", "engine", "seed", "seconds_run", "simulations", "noise_inflation")
         if k in attributes
     }
-    return about | {"file": path, "parameters": [vars(r) for r in rows]}
+    found = about | {"file": path, "parameters": [vars(r) for r in rows]}
+    return found | ({"predictions": [vars(t) for t in told]} if told else {})
 
 
-def fit_table(rows: Sequence["det2stoc_bayes.report.summary.Row"], title: str) -> RenderableType:
-    """A fit's summary."""
+def fit_tables(
+    rows: Sequence["det2stoc_bayes.report.summary.Row"],
+    told: Sequence["det2stoc_bayes.report.summary.Told"],
+    title: str,
+) -> RenderableType:
+    """A fit's summary, and how it tells held-out recordings where it is a stochastic simulator's."""
     made = table(title, "name", "mean>", "sd>", "95 % interval", "R-hat>", "ESS>")
     for r in rows:
         low, high = r.interval
         r_hat = MISSING if r.r_hat is None else f"{r.r_hat:.3f}"
         ess = MISSING if r.ess is None else f"{r.ess:.0f}"
         made.add_row(escape(r.name), number(r.mean), number(r.sd, 2), f"{number(low)} to {number(high)}", r_hat, ess)
-    return made
+    ways = ("matched Gaussian>", "mixture>", "one z>")
+    heldout = table("held-out log density [nat a transition]", "recording", "transitions>", *ways)
+    for t in told:
+        values = (number(v) for v in (t.matched, t.mixture, t.one_latent))
+        heldout.add_row(escape(t.recording), str(t.num_transitions), *values)
+    return _stack([*([made] if rows else []), *([heldout] if told else [])])
 
 
 # --- diagnose ------------------------------------------------------------

@@ -6,7 +6,7 @@ transition's own uncertainty as well.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -48,7 +48,7 @@ class Population:
     loc: Float[np.ndarray, " psi"]
     scale: Float[np.ndarray, " psi"]
 
-    def standard(self, psi: Float[np.ndarray, "rows psi"]) -> Float[np.ndarray, "rows psi"]:
+    def standard(self, psi: Float[np.ndarray, "*rows psi"]) -> Float[np.ndarray, "*rows psi"]:
         """psi in the measure that the latent has."""
         return (psi - self.loc) / self.scale
 
@@ -60,6 +60,7 @@ class Iteration:
     cvae: Cvae
     simulator: StochasticSimulator
     believed: Population  # that psi was simulated from
+    simulated_range: Float[np.ndarray, "2 psi"]  # least and greatest psi that was simulated
     pooled_draws: Float[np.ndarray, "rows psi"]  # q's samples, one a transition
     episode_means: Float[np.ndarray, "episodes psi"]
     episode_covariances: Float[np.ndarray, "episodes psi psi"]
@@ -78,6 +79,19 @@ class Iteration:
         """What an episode to come is expected to have: the population, and how unsure one is of it."""
         spread = np.sqrt((self.sd_draws**2).mean(0) + self.mean_draws.var(0))
         return Population(self.mean_draws.mean(0), spread)
+
+    @property
+    def outside(self) -> Float[np.ndarray, " psi"]:
+        """Probability that the population's mean lies where no psi was simulated: the prior excluded the truth."""
+        low, high = self.simulated_range
+        return ((self.mean_draws < low) | (self.mean_draws > high)).mean(0)
+
+    @property
+    def predictive(self) -> StochasticSimulator:
+        """The stochastic simulator with the latent of the population that was inferred, not the one simulated from."""
+        now, then = self.next_population, self.believed
+        loc, scale = then.standard(now.loc), now.scale / then.scale
+        return replace(self.simulator, latent=(tuple(map(float, loc)), tuple(map(float, scale))))
 
 
 def pretrain(
@@ -135,11 +149,13 @@ def iterate(
     key: PRNGKeyArray,
     options: Options = Options(),
     progress: Progress = lambda *_: None,
+    decoder: Decoder | None = None,
 ) -> Iteration:
-    """One turn of the algorithm; `psi` are those of the simulated rows."""
+    """One turn of the algorithm; `psi` are those of the simulated rows, `decoder` one that learned from them before."""
     keys = jax.random.split(key, 4)
-    scaling = Scaling.of(simulated)
-    decoder, learned = pretrain(simulated, believed.standard(psi), scaling, keys[0], options, progress)
+    scaling, learned = Scaling.of(simulated), ()
+    if decoder is None:
+        decoder, learned = pretrain(simulated, believed.standard(psi), scaling, keys[0], options, progress)
     cvae, recognized = recognize(real, decoder, scaling, keys[1], options, progress)
     x, y = scaling.standard(real)
     q = normal(*jax.vmap(cvae.encoder)(jnp.asarray(x), jnp.asarray(y)))
@@ -152,6 +168,7 @@ def iterate(
         cvae,
         StochasticSimulator(cvae.decoder, scaling),
         believed,
+        np.stack([psi.min(0), psi.max(0)]),
         loc + sd * np.asarray(q.sample(keys[2]), float),
         loc + sd * means,
         covariances * np.outer(sd, sd),

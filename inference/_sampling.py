@@ -38,10 +38,15 @@ def numpy_random(key: jax.Array) -> np.random.Generator:
     return np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel().tolist())
 
 
-def mode_of(problem: Problem) -> Expansion:
-    """The mode of a problem's density, the MAP's initial states integrated out, and its shape there."""
+def density_of(problem: Problem) -> Density:
+    """A problem's density, the MAP's initial states integrated out; spreads of psi that varies are unknowns."""
     found = find_map(problem)
-    return mode_at(Density.at(freed(found) if problem.unknowns.varying else found))
+    return Density.at(freed(found) if problem.unknowns.varying else found)
+
+
+def mode_of(problem: Problem) -> Expansion:
+    """The mode of a problem's density, and its shape there."""
+    return mode_at(density_of(problem))
 
 
 def mode_at(density: Density) -> Expansion:

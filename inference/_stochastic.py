@@ -27,16 +27,20 @@ class StochasticSimulator:
     """A decoder, the prior of its latent, and the units it works in.
 
     `rotations`: where rotation matrices (nine numbers, by rows) begin in the state; next states hold the nearest ones.
+    `latent`: means and sds of the latent's prior, standard normal where nothing is given.
     """
 
     decoder: Decoder
     scaling: Scaling
     rotations: tuple[int, ...] = ()
+    latent: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
     @property
     def prior(self) -> dist.Distribution:
         """The latent's."""
-        return standard_normal(self.decoder.latents)
+        if self.latent is None:
+            return standard_normal(self.decoder.latents)
+        return dist.Normal(*(jnp.array(part, jnp.float32) for part in self.latent)).to_event(1)
 
     def sample(
         self,
@@ -84,7 +88,7 @@ class StochasticSimulator:
     ) -> tuple[Float[np.ndarray, "draws rows s"], Float[np.ndarray, "draws rows"]]:
         """Changes drawn for every row, and log p(change | s, a, z) of the recorded one under each draw's latent."""
         x, y = (jnp.asarray(a) for a in self.scaling.standard(data))
-        drawn, terms = _drawn(self.decoder, x, y, jax.random.split(key, num_draws))
+        drawn, terms = _drawn(self.decoder, self.prior, x, y, jax.random.split(key, num_draws))
         changes = self.scaling.linear(data.given) + np.asarray(drawn, float) * self.scaling.change_sd
         changes = self._valid(data.state + changes) - data.state if self.rotations else changes
         return changes, np.asarray(terms, float) - self.scaling.log_volume
@@ -93,7 +97,8 @@ class StochasticSimulator:
         """One file: a line of JSON, then the networks."""
         buffer = io.BytesIO()
         units = {name: value.tolist() for name, value in asdict(self.scaling).items()}
-        header = {"format": FORMAT, "decoder": self.decoder.sizes, "scaling": units, "rotations": self.rotations}
+        header = {"format": FORMAT, "decoder": self.decoder.sizes, "scaling": units}
+        header |= {"rotations": self.rotations, "latent": self.latent}
         buffer.write((json.dumps(header) + "\n").encode())
         eqx.tree_serialise_leaves(buffer, self.decoder)
         atomic_write(path, buffer.getvalue())
@@ -109,7 +114,8 @@ class StochasticSimulator:
                 like = Decoder(**header["decoder"], key=jax.random.key(0))
                 decoder = eqx.tree_deserialise_leaves(file, like)
                 scaling = Scaling(**{name: np.asarray(v) for name, v in header["scaling"].items()})
-                return cls(decoder, scaling, tuple(header["rotations"]))
+                loc, scale = header["latent"] or ((), ())
+                return cls(decoder, scaling, tuple(header["rotations"]), (tuple(loc), tuple(scale)) if loc else None)
         except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
             raise Det2StocError(f"{path}: found no stochastic simulator; allowed: a file that save() wrote") from error
 
@@ -128,11 +134,15 @@ def _decode(decoder: Decoder, x: Float[Array, "rows x"], z: Float[Array, "rows z
 
 @eqx.filter_jit
 def _drawn(
-    decoder: Decoder, x: Float[Array, "rows x"], y: Float[Array, "rows y"], keys: Key[Array, " draws"]
+    decoder: Decoder,
+    prior: dist.Distribution,
+    x: Float[Array, "rows x"],
+    y: Float[Array, "rows y"],
+    keys: Key[Array, " draws"],
 ) -> tuple[Float[Array, "draws rows y"], Float[Array, "draws rows"]]:
     def one(key: PRNGKeyArray) -> tuple[Array, Array]:
         latent, noise = jax.random.split(key)
-        p = normal(*jax.vmap(decoder)(x, standard_normal(decoder.latents).sample(latent, (len(x),))))
+        p = normal(*jax.vmap(decoder)(x, prior.sample(latent, (len(x),))))
         return p.sample(noise), p.log_prob(y)
 
     return jax.lax.map(one, keys)

@@ -1,9 +1,12 @@
 """What the actuators of a joint are given, gathered for laws that need the torque they transmit."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Int
 
 from det2stoc_bayes.mismatch.effects.base import Array, Drive, Element
 
@@ -17,10 +20,34 @@ FIELDS = (
 )
 
 
+@dataclass(frozen=True)
+class DriveLaw:
+    """All of a joint's drive but its inputs, and how these follow from commands (..., nu) and activations (..., na)."""
+
+    rest: Drive
+    commands: Int[np.ndarray, " n"]  # of each actuator, in ctrl
+    activations: Int[np.ndarray, " n"] | None  # the last one of each, which acts; -1 where there is none
+    low: Array
+    high: Array
+    xp: Any
+
+    def __call__(self, ctrl: Array, act: Array) -> Drive:
+        """A command within its range, or the activation where there is one."""
+        u = self.xp.clip(ctrl[..., self.commands], self.low, self.high)
+        if self.activations is not None:
+            u = self.xp.where(self.activations >= 0, act[..., np.maximum(self.activations, 0)], u)
+        return replace(self.rest, u=u)
+
+
 def drive_of(
     model: mujoco.MjModel, at: Element, field: Callable[[str], Array], ctrl: Array, act: Array, xp=np
 ) -> Drive:
-    """The drive of a joint under commands (..., nu) and activations (..., na).
+    """The drive of a joint under commands (..., nu) and activations (..., na); `field` as in `law_of`."""
+    return law_of(model, at, field, xp)(ctrl, act)
+
+
+def law_of(model: mujoco.MjModel, at: Element, field: Callable[[str], Array], xp=np) -> DriveLaw:
+    """The law of a joint's drive.
 
     `field` gives the present values of one of FIELDS, simulations first; kinds and flags are the model's.
     """
@@ -34,21 +61,14 @@ def drive_of(
     joint = int(model.dof_jntid[at.dof])
     total = _limits(field("jnt_actfrcrange")[..., joint, :], model.jnt_actfrclimited[joint], xp)
     gear = field("actuator_gear")[..., ids, 0]
-    return Drive(gain, bias, gear, low, high, _inputs(model, ids, field, ctrl, act, xp), *total)
-
-
-def _inputs(model, ids, field, ctrl, act, xp) -> Array:
-    """A command within its range, or the activation where there is one."""
     clamped = model.actuator_ctrllimited[ids].astype(bool)
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL:
         clamped = np.zeros_like(clamped)
-    low, high = _limits(field("actuator_ctrlrange")[..., ids, :], clamped, xp)
-    command = xp.clip(ctrl[..., model.actuator_ctrladr[ids]], low, high)
-    if not model.na:
-        return command
-    # The last of an actuator's activations is the one that acts.
-    last = model.actuator_actadr[ids] + model.actuator_actnum[ids] - 1
-    return xp.where(model.actuator_actnum[ids] > 0, act[..., np.maximum(last, 0)], command)
+    ends = _limits(field("actuator_ctrlrange")[..., ids, :], clamped, xp)
+    number = model.actuator_actnum[ids]
+    last = np.where(number > 0, model.actuator_actadr[ids] + number - 1, -1) if model.na else None
+    rest = Drive(gain, bias, gear, low, high, None, *total)
+    return DriveLaw(rest, model.actuator_ctrladr[ids], last, *ends, xp)
 
 
 def _limits(ranges: Array, limited: Array, xp) -> tuple[Array, Array]:

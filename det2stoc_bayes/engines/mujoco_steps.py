@@ -48,12 +48,13 @@ class Stepper:
         )
         self.fields = self._expanded()
         self.believed = {n: self.fields[n].copy() for e in self.momentary for n in e.placed.effect.writes}
+        self.laws: dict[int, drive.DriveLaw] = {}
 
     def _expanded(self) -> dict[str, np.ndarray]:
         names: set[str] = set()
         for e in self.momentary:
             names |= {*e.placed.effect.writes, *e.placed.effect.reads}
-            names |= set(drive.FIELDS) if e.placed.element.actuators else set()
+            names |= set(drive.FIELDS) if "driven" in e.placed.effect.needs else set()
         return {name: self.batch.expand(name) for name in sorted(names)}
 
     def run(
@@ -155,15 +156,19 @@ class Stepper:
         if at.dof < 0:
             return JointState(0.0 * time, 0.0 * time, time)
         given = None
-        if at.actuators and e.placed.effect.writes:
-
-            def field(name):
-                return self.fields[name][rows]
-
-            given = drive.drive_of(self.model, at, field, self.ctrl[rows], self.act[rows])
+        if at.actuators and "driven" in e.placed.effect.needs:
+            given = self._law(e)(self.ctrl[rows], self.act[rows])
         speed = self._speeds(at.dof)[rows]
         way = self.lead[rows] * 0.5 * (self.qvel[rows, at.dof] + speed)
         return JointState(self.qpos[rows, at.qpos] + way, speed, time, given)
+
+    def _law(self, e: EffectRows) -> drive.DriveLaw:
+        """The law of what drives the effect's joint, found once unless some effect rewrites it at every step."""
+        key = id(e)
+        if key not in self.laws or not self.believed.keys().isdisjoint(drive.FIELDS):
+            at, rows = e.placed.element, e.rows
+            self.laws[key] = drive.law_of(self.model, at, lambda name: self.fields[name][rows].copy())
+        return self.laws[key]
 
     def _body_state(self, e: EffectRows) -> BodyState:
         rows, sizes = e.rows, self.model.geom_size[None] if self.sizes is None else self.sizes[e.rows]

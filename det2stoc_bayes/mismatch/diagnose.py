@@ -1,5 +1,6 @@
 """The diagnosis of a study: is something left out, where, what, how sure, and how much better with it."""
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -36,10 +37,11 @@ class Diagnosis:
     patch: Patch
     study: Study
 
-    def write(self, out: Path) -> None:
+    def write(self, out: str | os.PathLike[str]) -> None:
         """All files of a diagnosis; each appears whole or not at all, diagnosis.json last."""
         from det2stoc_bayes.report import diagnosis_page
 
+        out = Path(out)
         names = ["patched.xml", *(["effects.py"] if self.patch.module else []), "fit.nc", "diagnosis.json"]
         content = self.finding.model_dump(mode="json")
         page = diagnosis_page(content, self.tree, study_name=self.study.name, files=tuple(names))

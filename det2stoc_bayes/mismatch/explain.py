@@ -20,7 +20,7 @@ from det2stoc_bayes.mismatch.race import (
     gain,
     threshold,
 )
-from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without
+from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without, without_each
 from det2stoc_bayes.optimize import Fit
 
 MAX_EFFECTS = 3
@@ -174,7 +174,7 @@ def _without_useless(
     believed = untold(bare)
     while effects := grown.problem.effects:
         one, whole = len(effects) == 1, untold(grown)
-        rest = {e: bare if one else lean.get(e) or without(grown, i) for i, e in enumerate(effects)}
+        rest = dict.fromkeys(effects, bare) if one else lean | _leaner(grown, [e for e in effects if e not in lean])
         # A fit that cannot do without the effect is the same fit.
         told = {e: 1.0 if f is grown else (untold(f) - whole) / believed for e, f in rest.items()}
         worst = min(effects, key=lambda e: told[e])
@@ -183,6 +183,11 @@ def _without_useless(
         grown, lean = rest[worst], {}
         useless.add(worst)
     return grown, lean, useless
+
+
+def _leaner(fit: Fit, dropped: Sequence[PlacedEffect]) -> dict[PlacedEffect, Fit]:
+    """The best fit without each of these effects."""
+    return dict(zip(dropped, without_each(fit, dropped), strict=True))
 
 
 def _earns(both: Fit, alone: Sequence[Fit], base: Fit, needed: float) -> bool:

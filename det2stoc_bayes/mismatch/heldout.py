@@ -179,10 +179,12 @@ def _warm(length: int) -> int:
 def _rollout(problem: Problem, z: np.ndarray) -> Float[np.ndarray, "segments samples columns"]:
     """Predictions from states estimated from each stretch's first samples."""
     segments = problem.segments
-    first = segments.values.copy()
-    for s in range(segments.count):
-        first[s, _warm(int(segments.lengths[s])) :] = np.nan
-    lin = fit_starts(replace(problem, segments=replace(segments, values=first)), z)
+    warm = np.array([_warm(int(n)) for n in segments.lengths])
+    longest = int(warm.max())  # what comes later need not be simulated
+    later = np.arange(longest) >= warm[:, None]
+    values = np.where(later[..., None], np.nan, segments.values[:, :longest])
+    beginning = replace(segments, time=segments.time[:, :longest], values=values)
+    lin = fit_starts(replace(problem, segments=beginning), z)
     if lin is None:
         return problem.simulator.rollout(problem.request(z[None], problem.guess.start))
     return problem.simulator.rollout(problem.request(lin.point.z[None], lin.point.start))

@@ -22,14 +22,24 @@ def _keep(fit: Fit, effects: Sequence[PlacedEffect]) -> Point:
 
 
 def refit(fit: Fit, effects: Sequence[PlacedEffect]) -> Fit:
-    """The best fit with only some of the effects, on the same segments."""
-    found = fit_many([(fit.problem.with_effects(effects), _keep(fit, effects))], tolerance=tolerance(fit))[0]
-    return fit if found is None else found
+    """The best fit with only some of the effects, on the same segments; the fit itself where none is found."""
+    return _refits(fit, [effects])[0]
 
 
 def without(fit: Fit, i: int) -> Fit:
     """The best fit without effect i."""
-    return refit(fit, [e for k, e in enumerate(fit.problem.effects) if k != i])
+    return without_each(fit, [fit.problem.effects[i]])[0]
+
+
+def without_each(fit: Fit, dropped: Sequence[PlacedEffect]) -> list[Fit]:
+    """The best fits without each of these effects, the others staying."""
+    return _refits(fit, [[e for e in fit.problem.effects if e != gone] for gone in dropped])
+
+
+def _refits(fit: Fit, choices: Sequence[Sequence[PlacedEffect]]) -> list[Fit]:
+    points = [(fit.problem.with_effects(effects), _keep(fit, effects)) for effects in choices]
+    found = fit_many(points, tolerance=tolerance(fit)) if points else []
+    return [fit if f is None else f for f in found]
 
 
 def swap(fit: Fit, i: int, other: Ranked) -> Fit:

@@ -23,8 +23,31 @@ class Row:
     ess: float | None
 
 
+@dataclass(frozen=True)
+class Told:
+    """Mean log density of a held-out recording's transitions [nat], by three ways to count it."""
+
+    recording: str
+    num_transitions: int
+    matched: float
+    mixture: float
+    one_latent: float
+
+
+def predicted(fit: xr.DataTree) -> list[Told]:
+    """Held-out recordings as a stochastic simulator tells them; none for other methods."""
+    if "predictions" not in fit.children:
+        return []
+    told = fit.children["predictions"].to_dataset()
+    names, counts = told["heldout"].values, told["num_transitions"].values
+    columns = [told[f"log_density_{way}"].values for way in ("matched", "mixture", "one_latent")]
+    return [Told(str(n), int(c), *map(float, row)) for n, c, *row in zip(names, counts, *columns, strict=True)]
+
+
 def summarize(fit: xr.DataTree) -> list[Row]:
     """Every variable of the posterior group; further dimensions as `friction[drop_03]`."""
+    if "posterior" not in fit.children:
+        return []
     times = _autocorrelation_times(fit)
     rows = []
     for name, data in fit.children["posterior"].to_dataset().data_vars.items():

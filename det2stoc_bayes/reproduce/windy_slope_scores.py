@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes import metrics
+from det2stoc_bayes.inference._predictive import row_scores
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.models import windy_slope
 from det2stoc_bayes.transitions import Transitions
 
-ROWS = 500  # of the test set at a time
 NEIGHBOURS = 400  # simulated episodes that tell psi from a state
 RIDGE = 1e-3  # of inputs of variance 1
 ROLLOUT_STEPS = (10, 50, 100)  # at which rollouts are scored
@@ -21,18 +21,9 @@ Simulate = Callable[..., Float[np.ndarray, "episodes samples 18"]]
 
 def transition_scores(simulator: StochasticSimulator, test: Transitions, num_draws: int, seed: int) -> dict[str, float]:
     """The three log densities of the test set, and two scores of the draws."""
-    sums: dict[str, list[np.ndarray]] = {n: [] for n in ("one_latent", "mixture", "matched", "energy")}
-    ranks, unit = [], test.change.std(0)
-    for k, begin in enumerate(range(0, len(test), ROWS)):
-        part = test[begin : begin + ROWS]
-        draws, terms = simulator.draws(jax.random.key(1000 * seed + k), part, num_draws)
-        sums["one_latent"].append(terms[0])
-        sums["mixture"].append(metrics.mixture_log_density(terms))
-        sums["matched"].append(metrics.matched_log_density(draws, part.change))
-        sums["energy"].append(metrics.energy_score(draws / unit, part.change / unit))
-        ranks.append(metrics.pit(draws, part.change))
-    distances = [metrics.uniform_distance(r) for r in np.concatenate(ranks).T]
-    return {n: float(np.concatenate(v).mean()) for n, v in sums.items()} | {"pit_distance": float(np.mean(distances))}
+    scores, ranks = row_scores(simulator, test, num_draws, jax.random.key(seed))
+    distances = [metrics.uniform_distance(r) for r in ranks.T]
+    return {n: float(v.mean()) for n, v in scores.items()} | {"pit_distance": float(np.mean(distances))}
 
 
 def rollout_scores(

@@ -1,0 +1,152 @@
+"""A study's recordings as transitions, and simulated ones like them: what amortized methods learn from.
+
+A state is what a sample shows. What else a change is predicted from is the action: the mean command until the next
+sample, how the state has changed since the one before (where some speed was not recorded), what is known of the
+recording, and the time that passes where it is uneven.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from det2stoc_bayes.engines.base import Request
+from det2stoc_bayes.errors import MethodNotApplicable
+from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.recording import Recording
+from det2stoc_bayes.segments import Segments, from_pieces, mean_commands
+from det2stoc_bayes.starts import guess_starts
+from det2stoc_bayes.transitions import Transitions
+
+NUM_TRANSITIONS = 100  # of a recording of median length
+STRETCH = 10  # transitions that one simulation gives
+START_SPREAD = 0.2  # of a coordinate's variation: simulations start about recorded states
+EVEN = 1e-6  # of a time step: less is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class StudyTransitions:
+    """How a problem's samples are read as transitions."""
+
+    problem: Problem
+    every: int  # samples from one state to the next
+
+    @classmethod
+    def of(cls, problem: Problem) -> "StudyTransitions":
+        """As many samples a step as leave about NUM_TRANSITIONS steps a recording."""
+        lengths = [len(r.time) for r in problem.segments.recordings]
+        return cls(problem, max(1, round(float(np.median(lengths)) / NUM_TRANSITIONS)))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What a state consists of."""
+        return self.problem.segments.columns
+
+    @cached_property
+    def remembers(self) -> bool:
+        """Whether a state says too little of the motion by itself: some speed was not recorded."""
+        speeds = {c for c in self.problem.simulator.study.names.columns if c.startswith("qvel/")}
+        return not speeds <= set(self.columns)
+
+    @cached_property
+    def uneven(self) -> bool:
+        """Whether states are not equally far apart in time."""
+        steps = np.concatenate([np.diff(r.time[:: self.every]) for r in self.problem.segments.recordings])
+        return bool(np.ptp(steps) > EVEN * steps.mean())
+
+    def recorded(self, recordings: Sequence[Recording] | None = None) -> Transitions:
+        """Transitions of recordings, by default the problem's own; their episodes count the recordings."""
+        recordings = self.problem.segments.recordings if recordings is None else recordings
+        segments = self._cut(recordings, None)
+        found = self._rows(segments, segments.values, np.arange(segments.count), segments.recording)
+        empty = [r.name for i, r in enumerate(recordings) if not (found.episode == i).any()]
+        if empty:
+            raise MethodNotApplicable(
+                f"{empty[0]}: no successive samples ({self.every} apart) have all of {', '.join(self.columns)}; "
+                "allowed: a method that simulates whole recordings, as nuts or laplace"
+            )
+        return found
+
+    @cached_property
+    def stretches(self) -> Segments:
+        """The recordings cut where simulations start."""
+        return self._cut(self.problem.segments.recordings, STRETCH)
+
+    def simulated(
+        self,
+        psi: Float[np.ndarray, "sims psi"],
+        random: np.random.Generator,
+        progress: Callable[[int, int], None] = lambda *_: None,
+    ) -> Transitions:
+        """Transitions under the given psi, measurement noise included; simulations start where recordings were."""
+        problem, segments = self.problem, self.stretches
+        simulator, guess = problem.simulator, guess_starts(problem.simulator.model, segments)
+        which = np.resize(random.permutation(segments.count), len(psi))
+        states = guess.scale.shape[0]
+        scatter = START_SPREAD * guess.scale * random.standard_normal((len(psi), states))
+        start = problem.moved(guess.start[which], scatter)
+        names = [segments.recordings[segments.recording[w]].name for w in which]
+        fields = simulator.fields(psi, names)
+        predicted = simulator.rollout(Request(segments, which, start, fields, (), problem.timestep, problem.integrator))
+        progress(len(psi), len(psi))
+        degrees = problem.measurement.degrees_of_freedom
+        shape = predicted.shape
+        noise = random.standard_normal(shape) if degrees is None else random.standard_t(degrees, shape)
+        return self._rows(segments, predicted + problem.noise * noise, which, np.arange(len(psi)))
+
+    def _cut(self, recordings: Sequence[Recording], length: int | None) -> Segments:
+        """Every `every`-th sample of recordings, in stretches of about `length` steps that share their ends."""
+        pieces: list[tuple[int, int, int]] = []
+        for r, record in enumerate(recordings):
+            steps = (len(record.time) - 1) // self.every
+            parts = 1 if length is None else max(1, round(steps / length))
+            edges = np.linspace(0, steps, parts + 1).round().astype(int) * self.every
+            pieces += [(r, int(a), int(b) + 1) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
+        if not pieces:
+            raise MethodNotApplicable(f"no recording has more than {self.every} samples; allowed: longer recordings")
+        return from_pieces(recordings, pieces, self.columns, every=self.every)
+
+    def _rows(
+        self,
+        segments: Segments,
+        values: Float[np.ndarray, "rows samples columns"],
+        which: Int[np.ndarray, " rows"],
+        episode: Int[np.ndarray, " rows"],
+    ) -> Transitions:
+        """All transitions between finite values, row by row."""
+        first = int(self.remembers)
+        time, last = segments.time[which], segments.lengths[which] - 1
+        state, change = values[:, first:-1], np.diff(values, axis=1)
+        given = [self._commands(segments)[which]]
+        if self.remembers:
+            given = [given[0][:, 1:], given[0][:, :-1], change[:, :-1]]
+        change = change[:, first:]
+        known = self._known([segments.recordings[r].name for r in segments.recording])[which]
+        given.append(np.repeat(known[:, None], state.shape[1], 1))
+        if self.uneven:
+            given.append(np.diff(time, axis=1)[:, first:, None])
+        action = np.concatenate(given, -1)
+        steps = np.arange(first, values.shape[1] - 1)
+        whole = (steps < last[:, None]) & np.isfinite(np.concatenate([state, change, action], -1)).all(-1)
+        owner = np.broadcast_to(episode[:, None], whole.shape)
+        return Transitions(state[whole], action[whole], change[whole], owner[whole])
+
+    def _commands(self, segments: Segments) -> Float[np.ndarray, "segments steps ctrl"]:
+        """Mean commands between samples."""
+        rows = []
+        for r, time in zip(segments.recording, segments.time, strict=True):
+            rows.append(mean_commands(segments.recordings[r], time[None, :-1], time[None, 1:])[0])
+        return np.stack(rows)
+
+    def _known(self, names: Sequence[str]) -> Float[np.ndarray, "recordings known"]:
+        """What is known of recordings, as far as it differs between those of the study."""
+        study = self.problem.simulator.study
+        of_all = self._fields([r.name for r in (*study.recordings, *study.holdout)])
+        return self._fields(names)[:, np.ptp(of_all, axis=0) > 0]
+
+    def _fields(self, names: Sequence[str]) -> Float[np.ndarray, "recordings fields"]:
+        simulator = self.problem.simulator
+        fields = simulator.fields(np.tile(simulator.believed, (len(names), 1)), names)
+        return np.concatenate([np.zeros((len(names), 0)), *(v.reshape(len(names), -1) for v in fields.values())], 1)

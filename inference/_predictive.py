@@ -1,0 +1,54 @@
+"""How well a learned stochastic simulator tells transitions that it was not fitted to."""
+
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from det2stoc_bayes import metrics
+from det2stoc_bayes.inference._stochastic import StochasticSimulator
+from det2stoc_bayes.study_transitions import StudyTransitions
+from det2stoc_bayes.transitions import Transitions
+
+ROWS = 500  # at a time
+NUM_DRAWS = 1000
+DENSITIES = ("one_latent", "mixture", "matched")
+
+
+def row_scores(
+    simulator: StochasticSimulator, data: Transitions, num_draws: int, key: PRNGKeyArray
+) -> tuple[dict[str, Float[np.ndarray, " rows"]], Float[np.ndarray, "rows s"]]:
+    """Three log densities of each transition and the energy score of its draws; its ranks among them.
+
+    one_latent: log p(y | x, z) of a single z from the prior; mixture: of the mean over z; matched: of the Gaussian
+    with the draws' moments. In raw units [nat]; the energy score in sds of the changes.
+    """
+    found: dict[str, list[np.ndarray]] = {n: [] for n in (*DENSITIES, "energy")}
+    ranks, unit = [], np.maximum(data.change.std(0), np.finfo(float).tiny)
+    for k, begin in enumerate(range(0, len(data), ROWS)):
+        part = data[begin : begin + ROWS]
+        draws, terms = simulator.draws(jax.random.fold_in(key, k), part, num_draws)
+        found["one_latent"].append(terms[0])
+        found["mixture"].append(metrics.mixture_log_density(terms))
+        found["matched"].append(metrics.matched_log_density(draws, part.change))
+        found["energy"].append(metrics.energy_score(draws / unit, part.change / unit))
+        ranks.append(metrics.pit(draws, part.change))
+    return {n: np.concatenate(v) for n, v in found.items()}, np.concatenate(ranks)
+
+
+def predictions(
+    simulator: StochasticSimulator, transitions: StudyTransitions, key: PRNGKeyArray, num_draws: int = NUM_DRAWS
+) -> dict[str, tuple[tuple[str, ...], Any]]:
+    """Log densities of a study's held-out recordings, means over each one's transitions; nothing without holdout."""
+    holdout = transitions.problem.simulator.study.holdout
+    if not holdout:
+        return {}
+    data = transitions.recorded(holdout)
+    scores, _ = row_scores(simulator, data, num_draws, key)
+    of = [data.episode == r for r in range(len(holdout))]
+    told = {f"log_density_{n}": (("heldout",), np.array([scores[n][rows].mean() for rows in of])) for n in DENSITIES}
+    return told | {
+        "num_transitions": (("heldout",), np.array([rows.sum() for rows in of])),
+        "heldout": (("heldout",), np.array([r.name for r in holdout])),
+    }

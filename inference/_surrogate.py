@@ -1,0 +1,85 @@
+"""A study's posterior where a learned decoder stands in for the simulator: the density of psi's unknowns, and draws."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from jaxtyping import Array, Float, PRNGKeyArray
+from numpyro.infer import MCMC, NUTS, init_to_value
+
+from det2stoc_bayes.inference._amortized import Iteration, Population
+from det2stoc_bayes.inference._cvae import normal
+from det2stoc_bayes.inference._episodes import Episodes
+from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.transitions import Transitions
+
+NUM_WARMUP = 400
+MOST_DOUBLINGS = 7  # leapfrog steps of one draw: 2 to this
+
+
+@dataclass(frozen=True, eq=False)
+class Surrogate:
+    """Prior N(0, I) of a problem's unknowns z, and the decoder's density of each recording's transitions."""
+
+    problem: Problem
+    decoder: Callable[..., Any]
+    believed: Population  # units in which the decoder knows psi
+    episodes: Episodes  # one a recording, in the problem's order
+
+    @classmethod
+    def of(cls, problem: Problem, turn: Iteration, real: Transitions) -> "Surrogate":
+        """Of the problem's own recorded transitions, under a turn's decoder."""
+        x, y = turn.simulator.scaling.standard(real)
+        return cls(problem, turn.cvae.decoder, turn.believed, Episodes.of(turn.cvae, x, y, real.episode))
+
+    def terms(self, z: Float[Array, " size"]) -> Float[Array, " recordings"]:
+        """log density of each recording."""
+        psi = self.problem.unknowns.by_recording(z, jnp)
+        latent = ((psi - self.believed.loc) / self.believed.scale).astype(jnp.float32)
+
+        def one(latent: Array, x: Array, y: Array, weight: Array) -> Array:
+            mean, scale = jax.vmap(self.decoder, (0, None))(x, latent)
+            return (weight * normal(mean, scale).log_prob(y)).sum()
+
+        episodes = self.episodes
+        return jax.vmap(one)(latent, episodes.x, episodes.y, episodes.weight)
+
+    def draws(
+        self, key: PRNGKeyArray, num_chains: int, num_draws: int
+    ) -> tuple[Float[np.ndarray, "chain draw size"], dict[str, np.ndarray]]:
+        """Draws by NUTS from where the decoder's psi is centred, and its statistics."""
+        size = self.problem.size
+
+        def model() -> None:
+            z = numpyro.sample("z", dist.Normal(jnp.zeros(size), 1.0).to_event(1))
+            numpyro.factor("recordings", self.terms(z).sum())
+
+        kernel = NUTS(
+            model,
+            init_strategy=init_to_value(values={"z": jnp.asarray(self._centre())}),
+            max_tree_depth=MOST_DOUBLINGS,
+            dense_mass=True,
+        )
+        chains = MCMC(
+            kernel,
+            num_warmup=NUM_WARMUP,
+            num_samples=num_draws,
+            num_chains=num_chains,
+            chain_method="vectorized",
+            progress_bar=False,
+        )
+        chains.run(key, extra_fields=("potential_energy", "diverging", "accept_prob"))
+        extra = {name: np.asarray(v) for name, v in chains.get_extra_fields(group_by_chain=True).items()}
+        return np.asarray(chains.get_samples(group_by_chain=True)["z"], float), extra
+
+    def _centre(self) -> Float[np.ndarray, " size"]:
+        z = np.zeros(self.problem.size)
+        for block, loc in zip(self.problem.unknowns.blocks, self.believed.loc, strict=True):
+            found = float(block.parameter.prior.to_normal(loc))
+            z[block.begin] = np.clip(found, -3.0, 3.0)
+        return z

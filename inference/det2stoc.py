@@ -1,0 +1,131 @@
+"""det2stoc: transitions simulated under psi train a decoder, which is frozen and then read backwards on recordings.
+
+After the algorithm's last turn every recording's transitions are weighed by its decoder, which gives the posterior of
+psi without simulating; the exact likelihood of each draw stands beside it (`log_weight`: exact less learned).
+"""
+
+from collections.abc import Iterator
+
+import jax
+import numpy as np
+
+from det2stoc_bayes.density import log_prior
+from det2stoc_bayes.inference._amortized import Iteration, Options, Population, iterate
+from det2stoc_bayes.inference._cvae import Schedule
+from det2stoc_bayes.inference._predictive import predictions
+from det2stoc_bayes.inference._sampling import as_key, density_of, numpy_random, per_chain, seed_of
+from det2stoc_bayes.inference._surrogate import Surrogate
+from det2stoc_bayes.posterior import DataTree, Progress, build, measured, with_groups
+from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.study_transitions import StudyTransitions
+from det2stoc_bayes.transitions import Transitions
+from det2stoc_bayes.unknowns import of_population
+
+NUM_CHAINS = 4
+FARTHEST = 2.5  # prior sds: psi of the first simulations, lest a heavy tail set the units
+
+
+def fit(
+    problem: Problem,
+    key: int | jax.Array,
+    *,
+    num_samples: int = 1000,
+    num_iterations: int = 3,
+    num_simulated: int = 10_000,
+    num_steps: int = 4_000,
+    progress: Progress = lambda *_: None,
+) -> DataTree:
+    """Draws of psi under the learned likelihood; group `turns`: what each turn of the algorithm inferred.
+
+    `num_simulated` stretches of recordings are simulated a turn, `num_steps` steps train a turn's decoder.
+    """
+    options = {
+        "num_samples": num_samples,
+        "num_iterations": num_iterations,
+        "num_simulated": num_simulated,
+        "num_steps": num_steps,
+    }
+    key = as_key(key)
+    learn, draw, judge = jax.random.split(key, 3)
+    with measured(problem) as cost:
+        density = density_of(problem)
+        transitions = StudyTransitions.of(density.problem)
+        real, stages = transitions.recorded(), num_iterations + 1
+        turns: list[Iteration] = []
+        for turn in _turns(transitions, real, learn, num_iterations, num_simulated, num_steps):
+            turns.append(turn)
+            progress(len(turns), stages)
+        z, stats = Surrogate.of(density.problem, turns[-1], real).draws(
+            draw, NUM_CHAINS, per_chain(num_samples, NUM_CHAINS)
+        )
+        terms = density.log_likelihood_by_recording(z.reshape(-1, density.size)).reshape(*z.shape[:2], -1)
+        learned = -stats["potential_energy"] - log_prior(z)
+        progress(stages, stages)
+        tree = build(
+            density,
+            z,
+            method="det2stoc",
+            options=options,
+            seed=seed_of(key),
+            cost=cost,
+            sample_stats={"diverging": stats["diverging"], "log_weight": terms.sum(-1) - learned},
+            log_likelihood=terms,
+        )
+        told = predictions(turns[-1].predictive, transitions, judge)
+    return with_groups(tree, turns=_told(density.problem, turns), predictions=told)
+
+
+def _turns(
+    transitions: StudyTransitions, real: Transitions, key: jax.Array, count: int, num_simulated: int, num_steps: int
+) -> Iterator[Iteration]:
+    """The algorithm's turns: each simulates under the population that the last one found."""
+    problem, random = transitions.problem, numpy_random(key)
+    options = Options(decoder=Schedule(num_steps, batch=1000, learning_rate=5e-3))
+    psi = _from_prior(problem, random, num_simulated)
+    believed = Population(psi.mean(0), psi.std(0))
+    for k in jax.random.split(key, count):
+        simulated = transitions.simulated(psi, random)
+        turn = iterate(real, simulated, psi[simulated.episode], believed, k, options)
+        yield turn
+        believed = turn.next_population
+        psi = _drawn(problem, believed, random, num_simulated)
+
+
+def _from_prior(problem: Problem, random: np.random.Generator, count: int) -> np.ndarray:
+    """psi of an episode to come under the priors, without their farthest tails."""
+    columns = []
+    for p in problem.simulator.parameters:
+        z = random.standard_normal(2 * count)
+        z = np.resize(z[np.abs(z) < FARTHEST], count)
+        values = np.asarray(p.prior.from_normal(z))
+        if p.varies == "trajectory":
+            sigma = np.abs(random.normal(0.0, p.prior.sd / 2, count))
+            values = np.asarray(of_population(p, values, sigma, random.standard_normal(count)))
+        columns.append(values)
+    return np.stack(columns, 1)
+
+
+def _drawn(problem: Problem, population: Population, random: np.random.Generator, count: int) -> np.ndarray:
+    """psi of a population, within the priors' supports."""
+    pairs = zip(problem.simulator.parameters, population.loc, population.scale, strict=True)
+    return np.stack([of_population(p, loc, scale, random.standard_normal(count)) for p, loc, scale in pairs], 1)
+
+
+def _told(problem: Problem, turns: list[Iteration]) -> dict:
+    """What each turn believed and found, by psi. `pooled` is over all transitions' q: the source's figure.
+
+    `outside`: probability that the population's mean lies where nothing was simulated.
+    """
+    columns = {
+        "simulated_mean": [t.believed.loc for t in turns],
+        "simulated_sd": [t.believed.scale for t in turns],
+        "pooled_mean": [t.pooled.loc for t in turns],
+        "pooled_sd": [t.pooled.scale for t in turns],
+        "population_mean": [t.mean_draws.mean(0) for t in turns],
+        "population_sd": [t.sd_draws.mean(0) for t in turns],
+        "divergence": [t.divergences for t in turns],
+        "outside": [t.outside for t in turns],
+    }
+    names = np.array([p.name for p in problem.simulator.parameters])
+    told = {name: (("turn", "psi"), np.stack(values)) for name, values in columns.items()}
+    return told | {"psi": (("psi",), names), "turn": (("turn",), np.arange(1, len(turns) + 1))}

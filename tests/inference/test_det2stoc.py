@@ -1,0 +1,131 @@
+"""det2stoc on a study: its posterior against quadrature over the same transitions' densities, and what it returns."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import make_study, model_xml
+from scipy.linalg import expm
+from simulated import SPRING, SPRING_PSI, add_holdout, noise_table, pose, recordings
+
+from det2stoc_bayes.errors import MethodNotApplicable
+from det2stoc_bayes.inference import baseline_cvae, det2stoc
+from det2stoc_bayes.inference._amortized import Population
+from det2stoc_bayes.inference._cvae import Cvae, standard_normal
+from det2stoc_bayes.inference._episodes import Episodes
+from det2stoc_bayes.inference._surrogate import Surrogate
+from det2stoc_bayes.posterior import load, save
+from det2stoc_bayes.report.summary import predicted, summarize
+from det2stoc_bayes.study import load_study
+from det2stoc_bayes.study_transitions import StudyTransitions
+
+NOISE = (0.002, 0.01)
+MASS = 1.2
+STARTS = [([0.3], [0.0]), ([-0.2], [1.0]), ([0.1], [-1.5])]
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    """A mass on a spring, states recorded; another three recordings held out."""
+    folder = tmp_path_factory.mktemp("studies") / "spring"
+    made = recordings(model_xml(SPRING), STARTS, 10 * np.arange(61), NOISE)
+    study = make_study(folder, model_xml(SPRING), SPRING_PSI + noise_table(*NOISE), made)
+    add_holdout(study, recordings(model_xml(SPRING), STARTS[:2], 10 * np.arange(61), NOISE, seed=1))
+    return pose(load_study(folder))
+
+
+@pytest.fixture(scope="module")
+def fitted(problem):
+    return det2stoc.fit(problem, 0, num_samples=400, num_iterations=2, num_simulated=3000, num_steps=3000)
+
+
+@pytest.fixture(scope="module")
+def baseline(problem):
+    return baseline_cvae.fit(problem, 0, num_samples=200, num_steps=1000)
+
+
+def quadrature(problem):
+    """Mean and sd of damping and stiffness under the product of N(s'; F s, R + F R F') and the prior."""
+    rows, noise = StudyTransitions.of(problem).recorded(), np.diag(np.square(NOISE))
+    dt = 10 * problem.simulator.model.opt.timestep
+    damping, stiffness = np.linspace(0.2, 0.6, 81), np.linspace(28.0, 32.0, 81)
+    log = np.empty((81, 81))
+    for i, d in enumerate(damping):
+        for j, k in enumerate(stiffness):
+            step = expm(np.array([[0.0, 1.0], [-k / MASS, -d / MASS]]) * dt)
+            off = rows.state + rows.change - rows.state @ step.T
+            covariance = noise + step @ noise @ step.T
+            log[i, j] = -0.5 * np.einsum("ri,ij,rj", off, np.linalg.inv(covariance), off)
+            log[i, j] -= 0.5 * len(rows) * np.linalg.slogdet(covariance)[1]
+            log[i, j] -= 0.5 * ((d - 0.4) / 0.1) ** 2 + 0.5 * ((k - 30) / 3) ** 2
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    out = []
+    for values, axis in ((damping, 1), (stiffness, 0)):
+        marginal = weight.sum(axis)
+        mean = (marginal * values).sum()
+        out.append((mean, np.sqrt((marginal * (values - mean) ** 2).sum())))
+    return out
+
+
+def test_posterior_is_that_of_the_transitions(problem, fitted):
+    """Measured: means off by 0.1 to 0.3 sds, sds by 2 to 10 %."""
+    for (mean, sd), name in zip(quadrature(problem), ("damping", "stiffness"), strict=True):
+        draws = fitted.posterior[name].values
+        assert abs(draws.mean() - mean) < 0.6 * sd
+        assert draws.std() == pytest.approx(sd, rel=0.3)
+
+
+def test_the_latent_is_psi_in_the_units_believed(problem):
+    """A decoder that is linear in psi: each recording's density is a Gaussian's."""
+
+    def decoder(x, latent):
+        return x[0] * latent, jnp.full(2, 0.5, jnp.float32)
+
+    random = np.random.default_rng(0)
+    x, y = (random.standard_normal((12, n)).astype(np.float32) for n in (1, 2))
+    owner = np.repeat([0, 1, 2], [5, 4, 3])
+    cvae = Cvae(decoder, decoder, standard_normal(2), True)
+    believed = Population(np.array([0.35, 31.0]), np.array([0.05, 2.0]))
+    surrogate = Surrogate(problem, decoder, believed, Episodes.of(cvae, x, y, owner))
+    z = np.array([0.3, -0.4])
+    latent = (problem.psi(z) - believed.loc) / believed.scale
+    terms = -0.5 * (((y - x * latent) / 0.5) ** 2).sum(1) - 2 * np.log(0.5) - np.log(2 * np.pi)
+    np.testing.assert_allclose(surrogate.terms(jnp.asarray(z)), np.bincount(owner, terms), rtol=1e-5)
+
+
+def test_what_is_returned(problem, fitted, tmp_path):
+    assert fitted.attrs["method"] == "det2stoc" and fitted.attrs["simulations"] > 6000
+    assert [r.name for r in summarize(fitted)] == ["damping", "stiffness"]
+    turns = fitted.turns
+    assert turns.simulated_mean.dims == ("turn", "psi") and turns.sizes["turn"] == 2
+    assert (turns.simulated_sd[1] < turns.simulated_sd[0]).all()
+    assert (turns.outside < 0.05).all()
+    # Importance weights towards the exact likelihood: finite, and of moderate spread where transitions tell most.
+    assert np.isfinite(fitted.sample_stats.log_weight).all()
+    told = predicted(fitted)
+    assert [t.recording for t in told] == ["run_0", "run_1"] and told[0].num_transitions == 60
+    save(fitted, tmp_path / "fit.nc")
+    assert load(tmp_path / "fit.nc").identical(fitted)
+
+
+def test_held_out_transitions_are_told_as_well_as_they_can_be(problem, fitted):
+    """Beside N(F s, R + F R F') at the true psi; measured: 0.03 nat less."""
+    dt = 10 * problem.simulator.model.opt.timestep
+    step = expm(np.array([[0.0, 1.0], [-30 / MASS, -0.4 / MASS]]) * dt)
+    noise = np.diag(np.square(NOISE))
+    covariance = noise + step @ noise @ step.T
+    best = -0.5 * np.linalg.slogdet(2 * np.pi * np.e * covariance)[1]
+    assert np.mean([t.mixture for t in predicted(fitted)]) == pytest.approx(best, abs=0.35)
+
+
+def test_baseline_learns_from_recordings_alone(fitted, baseline, tmp_path):
+    assert "posterior" not in baseline.children and summarize(baseline) == []
+    assert baseline.attrs["simulations"] == 0
+    assert np.mean([t.mixture for t in predicted(baseline)]) < np.mean([t.mixture for t in predicted(fitted)])
+    save(baseline, tmp_path / "fit.nc")
+    assert load(tmp_path / "fit.nc").identical(baseline)
+
+
+def test_baseline_needs_recordings_to_predict(gaussian_problem):
+    with pytest.raises(MethodNotApplicable, match="holdout"):
+        baseline_cvae.fit(gaussian_problem, 0)
