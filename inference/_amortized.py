@@ -81,10 +81,15 @@ class Iteration:
         return Population(self.mean_draws.mean(0), spread)
 
     @property
-    def outside(self) -> Float[np.ndarray, " psi"]:
-        """Probability that the population's mean lies where no psi was simulated: the prior excluded the truth."""
+    def outside(self) -> Float[np.ndarray, "draws psi"]:
+        """1 where the population's mean lies beyond all psi that were simulated: the prior excluded the truth."""
         low, high = self.simulated_range
-        return ((self.mean_draws < low) | (self.mean_draws > high)).mean(0)
+        return ((self.mean_draws < low) | (self.mean_draws > high)).astype(float)
+
+    @property
+    def alarm(self) -> float:
+        """Probability that some psi's population mean does so."""
+        return float(self.outside.max(1).mean())
 
     @property
     def predictive(self) -> StochasticSimulator:

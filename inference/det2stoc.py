@@ -114,7 +114,7 @@ def _drawn(problem: Problem, population: Population, random: np.random.Generator
 def _told(problem: Problem, turns: list[Iteration]) -> dict:
     """What each turn believed and found, by psi. `pooled` is over all transitions' q: the source's figure.
 
-    `outside`: probability that the population's mean lies where nothing was simulated.
+    `outside`: probability that the population's mean lies beyond all psi that were simulated; `alarm`: of any psi.
     """
     columns = {
         "simulated_mean": [t.believed.loc for t in turns],
@@ -124,8 +124,9 @@ def _told(problem: Problem, turns: list[Iteration]) -> dict:
         "population_mean": [t.mean_draws.mean(0) for t in turns],
         "population_sd": [t.sd_draws.mean(0) for t in turns],
         "divergence": [t.divergences for t in turns],
-        "outside": [t.outside for t in turns],
+        "outside": [t.outside.mean(0) for t in turns],
     }
     names = np.array([p.name for p in problem.simulator.parameters])
     told = {name: (("turn", "psi"), np.stack(values)) for name, values in columns.items()}
+    told["alarm"] = ("turn",), np.array([t.alarm for t in turns])
     return told | {"psi": (("psi",), names), "turn": (("turn",), np.arange(1, len(turns) + 1))}

@@ -43,6 +43,7 @@ def windy_slope_page(result: Mapping[str, Any]) -> str:
         oracles={k: result["oracles"][k] and numbers.number(result["oracles"][k], 4) for k in ("population", "state")},
         likelihood=page.embedded(likelihood_figure(rows, result["oracles"])),
         recovered=[row for j in range(len(scene["names"])) for row in _recovered(result, j)],
+        alarms=[_alarm(name, found) for name, found in result["alarms"].items()],
         posterior_height=canvas.ROW * settings["num_iterations"],
         posteriors=[
             (name, page.embedded(posterior_figure(result["seeds"][0]["models"], result["truth"], j, unit)))
@@ -75,6 +76,12 @@ def _model(row: Mapping[str, Any], num_seeds: int) -> dict[str, Any]:
     source = numbers.plus_minus(*row["source"]) if row["source"] else numbers.MISSING
     values = [told(row["metrics"][m]) for m in METRICS]
     return {"name": row["name"], "real": row["real"], "source": source, "values": values}
+
+
+def _alarm(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
+    """A prior, in how many seeds it was said to exclude the truth, and the mean probabilities of that."""
+    shares = [numbers.number(p) for p in (np.mean(found["alarm"]), *np.mean(found["outside"], axis=0))]
+    return {"prior": name, "raised": f"{found['raised']} of {len(found['alarm'])}", "shares": shares}
 
 
 def _legend(sweep: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -1,7 +1,7 @@
 """Windy Slope: a box on a slope in the wind, learned from few episodes by det2stoc and by a CVAE of its own."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,8 @@ from det2stoc_bayes.inference._cvae import Schedule
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.models import windy_slope
 from det2stoc_bayes.report.windy_slope_page import windy_slope_page as page
-from det2stoc_bayes.reproduce.parts import Progress, kept
+from det2stoc_bayes.reproduce.parts import Progress
+from det2stoc_bayes.reproduce.windy_slope_alarm import alarms
 from det2stoc_bayes.reproduce.windy_slope_figures import figures
 from det2stoc_bayes.reproduce.windy_slope_scores import (
     NEIGHBOURS,
@@ -26,9 +27,9 @@ from det2stoc_bayes.reproduce.windy_slope_scores import (
     state_oracle,
     transition_scores,
 )
+from det2stoc_bayes.reproduce.windy_slope_work import REAL_EPISODES, Settings, Work
 from det2stoc_bayes.transitions import Transitions
 
-REAL_EPISODES = (6, 8, 10, 10, 10)  # that each iteration has, of 100 transitions
 SOURCE = {
     "baseline 1000": (69.42, 1.73), "baseline 10000": (80.35, 0.60), "det2stoc 1": (66.93, 0.54),
     "det2stoc 2": (78.65, 0.53), "det2stoc 3": (81.74, 0.61),
@@ -38,62 +39,6 @@ PRIMARY = "matched"
 MARGINAL = "det2stoc z integrated out"
 ORACLES = {"population": "its population", "state": "p(psi | state)"}
 __all__ = ["page", "run"]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How much is done; episodes have 100 transitions."""
-
-    num_seeds: int = 5
-    num_iterations: int = 5
-    num_first: int = 10_000  # episodes under psi_0, simulated once for all seeds
-    num_simulated: int = 1_200  # episodes of each later iteration, whose psi hardly differ
-    first_steps: int = 12_000  # of training the decoder
-    decoder_steps: int = 6_000
-    baseline_steps: int = 8_000
-    num_test: int = 50  # episodes
-    num_draws: int = 1000
-    num_oracle: int = 150  # draws
-    baselines: tuple[int, ...] = (10, 100)  # episodes that each has
-
-    @classmethod
-    def quick(cls) -> "Settings":
-        """A look in less than three minutes."""
-        return cls(1, 2, 300, 150, 1500, 1500, 1500, 10, 200, 20)
-
-
-@dataclass(frozen=True, eq=False)
-class Work:
-    """What all parts of a run share."""
-
-    out: Path
-    settings: Settings
-    seed: int
-    progress: Progress
-
-    def random(self, *what: int) -> np.random.Generator:
-        """Randomness for one purpose."""
-        return np.random.default_rng([self.seed, *what])
-
-    def kept(self, name: str, make) -> dict[str, Any]:
-        """A part's results, made under these settings."""
-        return kept(self.out / "parts" / f"{name}.json", {"seed": self.seed, **asdict(self.settings)}, make)
-
-    def simulate(self, psi: Float[np.ndarray, "episodes 3"], stage: str) -> Float[np.ndarray, "episodes samples 18"]:
-        """States of episodes."""
-        return windy_slope.simulate(psi, progress=partial(self.progress, stage))
-
-    def model(self, number: int, name: str, make) -> dict[str, Any]:
-        """What is told of a seed's model."""
-        return self.kept(_stem(number, name), make)
-
-    def saved(self, number: int, name: str) -> Path:
-        """Where a seed's stochastic simulator is."""
-        return self.out / "simulators" / f"{_stem(number, name)}.d2s"
-
-
-def _stem(number: int, name: str) -> str:
-    return f"seed{number}_{name.replace(' ', '_')}"
 
 
 def run(out: Path, *, seed: int = 0, quick: bool = False, progress: Progress = lambda *_: None) -> dict[str, Any]:
@@ -112,6 +57,7 @@ def run(out: Path, *, seed: int = 0, quick: bool = False, progress: Progress = l
         "seed": seed,
         "settings": asdict(settings),
         "oracles": oracles,
+        "alarms": work.kept("alarms", lambda: {"priors": alarms(work)})["priors"],
         "table": _table(found, oracles, settings),
         "rows": found,
         "seeds": seeds,
@@ -153,8 +99,7 @@ def _table(found: list[dict[str, Any]], oracles: Mapping[str, Any], settings: Se
 
 def _one_seed(work: Work, number: int, tested: np.ndarray, test: Transitions) -> dict[str, Any]:
     """The baselines and the iterations of one seed's recordings."""
-    psi = windy_slope.REALITY.draw(work.random(1, number), max(*work.settings.baselines, *REAL_EPISODES))
-    states = work.simulate(psi, "simulating the recordings")
+    psi, states = work.recorded(number)
     models: dict[str, Any] = {}
 
     def scored(simulator: StochasticSimulator, name: str, real: int) -> dict[str, Any]:

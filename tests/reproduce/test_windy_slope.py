@@ -13,7 +13,7 @@ from det2stoc_bayes.reproduce.windy_slope_figures import EDGES, outlines
 from det2stoc_bayes.reproduce.windy_slope_scores import betrayed, population_oracle, rollout_scores
 from det2stoc_bayes.transitions import Transitions
 
-TINY = windy_slope.Settings(1, 1, 40, 40, 200, 200, 200, 4, 60, 12, baselines=(10,))
+TINY = windy_slope.Settings(1, 1, 40, 40, 200, 200, 200, 4, 60, 12, 40, baselines=(10,))
 
 
 # --- the scene ------------------------------------------------------------------------------------

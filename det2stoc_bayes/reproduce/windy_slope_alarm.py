@@ -1,0 +1,41 @@
+"""Is it said that psi_0 excludes the truth? Tried with the source's psi_0 and with one whose wind is too weak."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from det2stoc_bayes.inference._amortized import Options, Population, iterate
+from det2stoc_bayes.inference._cvae import Schedule
+from det2stoc_bayes.models import windy_slope
+from det2stoc_bayes.reproduce.windy_slope_work import REAL_EPISODES, Work
+from det2stoc_bayes.transitions import Transitions
+
+PRIORS = {"psi_0": windy_slope.PRIOR, "psi_0 with wind from -1 to 1 m/s": windy_slope.CALM_PRIOR}
+ALARM = 0.5  # probability that the population's mean lies outside
+
+
+def alarms(work: Work) -> dict[str, Any]:
+    """Each prior's probabilities that the population's mean is outside of it, by seed and psi; the alarms raised.
+
+    One decoder a prior; every seed has its own recordings and its own encoder.
+    """
+    settings, out = work.settings, {}
+    for name, prior in PRIORS.items():
+        psi = prior.draw(work.random(7), settings.num_alarm)
+        simulated = Transitions.of_episodes(work.simulate(psi, "simulating for the alarm"))
+        each, believed = np.repeat(psi, windy_slope.NUM_STEPS, 0), Population(psi.mean(0), psi.std(0))
+        options = Options(decoder=Schedule(settings.decoder_steps, batch=1000, learning_rate=5e-3))
+        decoder, turns = None, []
+        for number in range(settings.num_seeds):
+            real = Transitions.of_episodes(work.recorded(number)[1][: REAL_EPISODES[0]])
+            key = jax.random.key(700 + number)
+            found = iterate(real, simulated, each, believed, key, options, work.progress, decoder)
+            decoder = found.simulator.decoder
+            turns.append(found)
+        out[name] = {
+            "outside": [t.outside.mean(0).tolist() for t in turns],
+            "alarm": [t.alarm for t in turns],
+            "raised": sum(t.alarm > ALARM for t in turns),
+        }
+    return out

@@ -1,0 +1,76 @@
+"""How much of Windy Slope is done, and what all parts of a run share."""
+
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.models import windy_slope
+from det2stoc_bayes.reproduce.parts import Progress, kept
+
+REAL_EPISODES = (6, 8, 10, 10, 10)  # that each iteration has, of 100 transitions
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How much is done; episodes have 100 transitions."""
+
+    num_seeds: int = 5
+    num_iterations: int = 5
+    num_first: int = 10_000  # episodes under psi_0, simulated once for all seeds
+    num_simulated: int = 1_200  # episodes of each later iteration, whose psi hardly differ
+    first_steps: int = 12_000  # of training the decoder
+    decoder_steps: int = 6_000
+    baseline_steps: int = 8_000
+    num_test: int = 50  # episodes
+    num_draws: int = 1000
+    num_oracle: int = 150  # draws
+    num_alarm: int = 2_000  # episodes under each prior that the alarm is tried with
+    baselines: tuple[int, ...] = (10, 100)  # episodes that each has
+
+    @classmethod
+    def quick(cls) -> "Settings":
+        """A look in less than three minutes."""
+        return cls(1, 2, 300, 150, 1500, 1500, 1500, 10, 200, 20, 300)
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """What all parts of a run share."""
+
+    out: Path
+    settings: Settings
+    seed: int
+    progress: Progress
+
+    def random(self, *what: int) -> np.random.Generator:
+        """Randomness for one purpose."""
+        return np.random.default_rng([self.seed, *what])
+
+    def kept(self, name: str, make) -> dict[str, Any]:
+        """A part's results, made under these settings."""
+        return kept(self.out / "parts" / f"{name}.json", {"seed": self.seed, **asdict(self.settings)}, make)
+
+    def simulate(self, psi: Float[np.ndarray, "episodes 3"], stage: str) -> Float[np.ndarray, "episodes samples 18"]:
+        """States of episodes."""
+        return windy_slope.simulate(psi, progress=partial(self.progress, stage))
+
+    def recorded(self, number: int) -> tuple[Float[np.ndarray, "episodes 3"], Float[np.ndarray, "episodes samples 18"]]:
+        """psi and states of a seed's recordings, as many as any model of it learns from."""
+        psi = windy_slope.REALITY.draw(self.random(1, number), max(*self.settings.baselines, *REAL_EPISODES))
+        return psi, self.simulate(psi, "simulating the recordings")
+
+    def model(self, number: int, name: str, make) -> dict[str, Any]:
+        """What is told of a seed's model."""
+        return self.kept(_stem(number, name), make)
+
+    def saved(self, number: int, name: str) -> Path:
+        """Where a seed's stochastic simulator is."""
+        return self.out / "simulators" / f"{_stem(number, name)}.d2s"
+
+
+def _stem(number: int, name: str) -> str:
+    return f"seed{number}_{name.replace(' ', '_')}"
