@@ -16,7 +16,8 @@ from jaxtyping import Float, PRNGKeyArray
 
 from det2stoc_bayes.inference._cvae import Cvae, HybridELBO, Schedule, normal, optimize, standard_normal
 from det2stoc_bayes.inference._episodes import Episodes, population_draws
-from det2stoc_bayes.inference._networks import Decoder, Encoder
+from det2stoc_bayes.inference._latent import LatentMixture
+from det2stoc_bayes.inference._networks import Decoder, Encoder, ExtendedDecoder
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.transitions import Scaling, Transitions
 
@@ -29,9 +30,14 @@ NUM_DRAWS = 1000
 
 @dataclass(frozen=True)
 class Options:
-    """Sizes and schedules. alpha: weight of the ELBO beside the expectation over the prior."""
+    """Sizes and schedules. alpha: weight of the ELBO beside the expectation over the prior.
+
+    full: Gaussians with all covariances. num_extra: latents beside psi's. num_components: of a learned mixture prior.
+    """
 
     full: bool = False
+    num_extra: int = 0
+    num_components: int = 1
     alpha: float = 0.8
     dropout: float = 0.2
     width: int = 64
@@ -59,6 +65,7 @@ class Iteration:
 
     cvae: Cvae
     simulator: StochasticSimulator
+    pretrained: Decoder  # on simulations alone
     believed: Population  # that psi was simulated from
     simulated_range: Float[np.ndarray, "2 psi"]  # least and greatest psi that was simulated
     pooled_draws: Float[np.ndarray, "rows psi"]  # q's samples, one a transition
@@ -96,7 +103,7 @@ class Iteration:
         """The stochastic simulator with the latent of the population that was inferred, not the one simulated from."""
         now, then = self.next_population, self.believed
         loc, scale = then.standard(now.loc), now.scale / then.scale
-        return replace(self.simulator, latent=(tuple(map(float, loc)), tuple(map(float, scale))))
+        return replace(self.simulator, latent=LatentMixture.normal(loc, scale))
 
 
 def pretrain(
@@ -132,13 +139,22 @@ def marginal(
 
 
 def recognize(
-    real: Transitions, decoder: Decoder, scaling: Scaling, key: PRNGKeyArray, options: Options, progress: Progress
+    real: Transitions,
+    decoder: Decoder,
+    scaling: Scaling,
+    key: PRNGKeyArray,
+    options: Options,
+    progress: Progress,
 ) -> tuple[Cvae, History]:
-    """q(z | s, a, s') on recordings under the frozen decoder."""
+    """q(z | s, a, s') on recordings under the frozen decoder, and what else is learned from recordings."""
     x, y = scaling.standard(real)
-    net, split, train = jax.random.split(key, 3)
-    encoder = Encoder(x.shape[1], y.shape[1], decoder.latents, net, drop=options.dropout, full=options.full)
-    cvae = Cvae(encoder, decoder, standard_normal(decoder.latents), True)
+    net, split, train, apart = jax.random.split(key, 4)
+    extended = ExtendedDecoder(decoder, options.num_extra, apart) if options.num_extra else decoder
+    size = extended.latents
+    mixed = options.num_components > 1
+    prior = LatentMixture.first(size, options.num_components, apart) if mixed else standard_normal(size)
+    encoder = Encoder(x.shape[1], y.shape[1], size, net, drop=options.dropout, full=options.full)
+    cvae = Cvae(encoder, extended, prior, options.num_extra == 0)
     params, history = optimize(
         HybridELBO(options.alpha), cvae.model, cvae.guide, *_split(split, real, x, y), train, options.encoder,
         progress=lambda done, total: progress("training the encoder", done, total),
@@ -164,17 +180,20 @@ def iterate(
     cvae, recognized = recognize(real, decoder, scaling, keys[1], options, progress)
     x, y = scaling.standard(real)
     q = normal(*jax.vmap(cvae.encoder)(jnp.asarray(x), jnp.asarray(y)))
-    means, covariances = Episodes.of(cvae, x, y, real.episode).posteriors()
-    centre, spread = population_draws(means, covariances, keys[3], NUM_DRAWS)
     q_mean, q_variance = np.asarray(q.mean, float), np.asarray(q.variance, float)
     divergences = 0.5 * (q_variance + q_mean**2 - 1 - np.log(q_variance))
-    loc, sd = believed.loc, believed.scale
+    loc, sd, own = believed.loc, believed.scale, slice(len(believed.loc))
+    means, covariances = Episodes.of(cvae, x, y, real.episode).posteriors()
+    means, covariances = means[:, own], covariances[:, own, own]
+    centre, spread = population_draws(means, covariances, keys[3], NUM_DRAWS)
+    learned_prior = cvae.prior if isinstance(cvae.prior, LatentMixture) else None
     return Iteration(
         cvae,
-        StochasticSimulator(cvae.decoder, scaling),
+        StochasticSimulator(cvae.decoder, scaling, latent=learned_prior),
+        decoder,
         believed,
         np.stack([psi.min(0), psi.max(0)]),
-        loc + sd * np.asarray(q.sample(keys[2]), float),
+        loc + sd * np.asarray(q.sample(keys[2]), float)[:, own],
         loc + sd * means,
         covariances * np.outer(sd, sd),
         loc + sd * centre,

@@ -19,6 +19,8 @@ from numpyro.contrib.module import eqx_module
 from numpyro.handlers import seed, substitute, trace
 from numpyro.infer import SVI, Trace_ELBO
 
+from det2stoc_bayes.inference._latent import LatentMixture
+
 Batch = Float[Array, "_ _"]
 
 
@@ -40,19 +42,20 @@ class Cvae:
 
     encoder: Callable[..., Any]  # (x, y, key) -> mean and scale of z
     decoder: Callable[..., Any]  # (x, z) -> mean and scale of y
-    prior: dist.Distribution
+    prior: dist.Distribution | LatentMixture  # a mixture is learned
     decoder_frozen: bool
 
     def with_params(self, params: Mapping[str, Any]) -> "Cvae":
         """The same with trained networks."""
-        names = [n for n in ("encoder", "decoder") if f"{n}$params" in params]
+        names = [n for n in ("encoder", "decoder", "prior") if f"{n}$params" in params]
         return replace(self, **{n: eqx.combine(params[f"{n}$params"], getattr(self, n)) for n in names})
 
     def model(self, x: Batch, y: Batch | None = None, z: Batch | None = None) -> None:
         """The generative side; with z given, the regression that trains the decoder on simulations."""
         decoder = self.decoder if self.decoder_frozen else eqx_module("decoder", self.decoder)
+        prior = eqx_module("prior", self.prior)() if isinstance(self.prior, LatentMixture) else self.prior
         with numpyro.plate("transitions", x.shape[0]):
-            z = numpyro.sample("z", self.prior) if z is None else z
+            z = numpyro.sample("z", prior) if z is None else z
             numpyro.sample("y", normal(*jax.vmap(decoder)(x, z)), obs=y)
 
     def guide(self, x: Batch, y: Batch, z: Batch | None = None) -> None:

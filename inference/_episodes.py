@@ -43,7 +43,8 @@ class Episodes:
 
     def amortized(self) -> tuple[Float[Array, "episodes z"], Float[Array, "episodes z"]]:
         """Means and sds of the product of the transitions' evidence q / prior with one prior."""
-        mean, sd = jax.vmap(jax.vmap(self.cvae.encoder))(self.x, self.y)
+        mean, scale = jax.vmap(jax.vmap(self.cvae.encoder))(self.x, self.y)
+        sd = scale if scale.ndim == mean.ndim else jnp.sqrt((scale**2).sum(-1))  # of q's margins
         own = self.weight[..., None] * jnp.maximum(sd**-2 - 1.0, 0.0)
         precision = 1.0 + own.sum(1)
         return (self.weight[..., None] * mean * sd**-2).sum(1) / precision, precision**-0.5

@@ -1,12 +1,13 @@
 """Conditional Gaussians as networks: layers of ReLU with layer norm, into every one of which the latent is fed anew."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+FIRST_PUSH = 0.3  # sds of the outputs
 LOG_SD = (-10.0, 4.0)  # of standardised outputs: how sure a network can be
 
 
@@ -38,11 +39,15 @@ class SkipMLP(eqx.Module):
         self.last = eqx.nn.Linear(width + skip, out, dtype=kind, key=keys[-1])
         self.activation = activation
 
-    def __call__(self, x: Float[Array, " size"], skip: Float[Array, " skip"]) -> Float[Array, " out"]:
+    def __call__(
+        self, x: Float[Array, " size"], skip: Float[Array, " skip"], more: Sequence[Array] | None = None
+    ) -> Float[Array, " out"]:
+        """The output; `more` is added to what each layer, the last one included, gives before its activation."""
+        push = [0.0] * (len(self.layers) + 1) if more is None else more
         for i, layer in enumerate(self.layers):
-            x = layer(jnp.concatenate([x, skip]))
+            x = layer(jnp.concatenate([x, skip])) + push[i]
             x = self.activation(self.norms[i](x) if self.norms else x)
-        return self.last(jnp.concatenate([x, skip]))
+        return self.last(jnp.concatenate([x, skip])) + push[-1]
 
 
 class Decoder(eqx.Module):
@@ -69,6 +74,48 @@ class Decoder(eqx.Module):
         self, x: Float[Array, " x"], z: Float[Array, " z"]
     ) -> tuple[Float[Array, " y"], Float[Array, "*scale"]]:
         return gaussian(self.net(x, z), self.size, self.full)
+
+
+class ExtendedDecoder(eqx.Module):
+    """A decoder that stays as it is, with further latents whose weights are learned: what none of its own explains.
+
+    At first they move means, each in a direction of its own; from nothing they would end as mere widths.
+    """
+
+    base: Decoder
+    columns: tuple[Float[Array, "_ extra"], ...]  # of every layer
+    extra: int = eqx.field(static=True)
+
+    def __init__(self, base: Decoder, extra: int, key: PRNGKeyArray):
+        self.base, self.extra = base, extra
+        layers = (*base.net.layers, base.net.last)
+        *inner, last = (jnp.zeros((layer.weight.shape[0], extra), layer.weight.dtype) for layer in layers)
+        first = FIRST_PUSH * jax.random.normal(key, (base.size, extra), last.dtype)
+        self.columns = (*inner, last.at[: base.size].set(first))
+
+    @property
+    def latents(self) -> int:
+        """All of them."""
+        return self.base.latents + self.extra
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """The base's, and how many latents were added."""
+        return self.base.sizes | {"extra": self.extra}
+
+    def __call__(
+        self, x: Float[Array, " x"], z: Float[Array, " z"]
+    ) -> tuple[Float[Array, " y"], Float[Array, "*scale"]]:
+        frozen = jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf, self.base)
+        own, more = z[: self.base.latents], [c @ z[self.base.latents :] for c in self.columns]
+        return gaussian(frozen.net(x, own, more), frozen.size, frozen.full)
+
+
+def decoder_of(sizes: Mapping[str, int]) -> Decoder | ExtendedDecoder:
+    """A decoder of these sizes whose weights are to be filled in."""
+    own = {name: value for name, value in sizes.items() if name != "extra"}
+    base = Decoder(**own, key=jax.random.key(0))
+    return ExtendedDecoder(base, sizes["extra"], jax.random.key(0)) if "extra" in sizes else base
 
 
 class Encoder(eqx.Module):

@@ -2,6 +2,7 @@
 
 import io
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,8 @@ from jaxtyping import Array, Float, Key, PRNGKeyArray
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import atomic_write
 from det2stoc_bayes.inference._cvae import normal, standard_normal
-from det2stoc_bayes.inference._networks import Decoder
+from det2stoc_bayes.inference._latent import LatentMixture
+from det2stoc_bayes.inference._networks import Decoder, ExtendedDecoder, decoder_of
 from det2stoc_bayes.transitions import Scaling, Transitions
 
 FORMAT = "det2stoc stochastic simulator 1"
@@ -27,20 +29,18 @@ class StochasticSimulator:
     """A decoder, the prior of its latent, and the units it works in.
 
     `rotations`: where rotation matrices (nine numbers, by rows) begin in the state; next states hold the nearest ones.
-    `latent`: means and sds of the latent's prior, standard normal where nothing is given.
+    `latent`: the latent's prior, standard normal where nothing is given.
     """
 
-    decoder: Decoder
+    decoder: Decoder | ExtendedDecoder
     scaling: Scaling
     rotations: tuple[int, ...] = ()
-    latent: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    latent: LatentMixture | None = None
 
     @property
     def prior(self) -> dist.Distribution:
         """The latent's."""
-        if self.latent is None:
-            return standard_normal(self.decoder.latents)
-        return dist.Normal(*(jnp.array(part, jnp.float32) for part in self.latent)).to_event(1)
+        return standard_normal(self.decoder.latents) if self.latent is None else self.latent()
 
     def sample(
         self,
@@ -98,7 +98,7 @@ class StochasticSimulator:
         buffer = io.BytesIO()
         units = {name: value.tolist() for name, value in asdict(self.scaling).items()}
         header = {"format": FORMAT, "decoder": self.decoder.sizes, "scaling": units}
-        header |= {"rotations": self.rotations, "latent": self.latent}
+        header |= {"rotations": self.rotations, "latent": self.latent and self.latent.to_json()}
         buffer.write((json.dumps(header) + "\n").encode())
         eqx.tree_serialise_leaves(buffer, self.decoder)
         atomic_write(path, buffer.getvalue())
@@ -111,11 +111,10 @@ class StochasticSimulator:
                 header: dict[str, Any] = json.loads(file.readline())
                 if header["format"] != FORMAT:
                     raise ValueError
-                like = Decoder(**header["decoder"], key=jax.random.key(0))
-                decoder = eqx.tree_deserialise_leaves(file, like)
+                decoder = eqx.tree_deserialise_leaves(file, decoder_of(header["decoder"]))
                 scaling = Scaling(**{name: np.asarray(v) for name, v in header["scaling"].items()})
-                loc, scale = header["latent"] or ((), ())
-                return cls(decoder, scaling, tuple(header["rotations"]), (tuple(loc), tuple(scale)) if loc else None)
+                latent = header["latent"] and LatentMixture.from_json(header["latent"])
+                return cls(decoder, scaling, tuple(header["rotations"]), latent)
         except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
             raise Det2StocError(f"{path}: found no stochastic simulator; allowed: a file that save() wrote") from error
 
@@ -128,13 +127,13 @@ def nearest_rotation(matrix: Float[np.ndarray, "*rows 3 3"]) -> Float[np.ndarray
 
 
 @eqx.filter_jit
-def _decode(decoder: Decoder, x: Float[Array, "rows x"], z: Float[Array, "rows z"]) -> tuple[Array, Array]:
+def _decode(decoder: Callable[..., Any], x: Float[Array, "rows x"], z: Float[Array, "rows z"]) -> tuple[Array, Array]:
     return jax.vmap(decoder)(x, z)
 
 
 @eqx.filter_jit
 def _drawn(
-    decoder: Decoder,
+    decoder: Callable[..., Any],
     prior: dist.Distribution,
     x: Float[Array, "rows x"],
     y: Float[Array, "rows y"],

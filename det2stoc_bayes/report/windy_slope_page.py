@@ -21,8 +21,9 @@ SIDES = {"side": (1, 2), "above": (1, 0)}  # coordinates to the right and up
 def windy_slope_page(result: Mapping[str, Any]) -> str:
     """The report as html text, from results.json's content."""
     rows, settings = result["rows"], result["settings"]
-    ours = max((r for r in rows if r["name"].startswith("det2stoc")), key=lambda r: r["metrics"]["matched"][0])
-    rival = max((r for r in rows if r["name"].startswith("baseline")), key=lambda r: r["metrics"]["matched"][0])
+    main = [r for r in rows if r["seeds"] == settings["num_seeds"] and "," not in r["name"]]
+    ours = max((r for r in main if r["name"].startswith("det2stoc")), key=lambda r: r["metrics"]["matched"][0])
+    rival = max((r for r in main if r["name"].startswith("baseline")), key=lambda r: r["metrics"]["matched"][0])
     ahead = ours["metrics"]["matched"][0] - rival["metrics"]["matched"][0]
     scene = result["scene"]
     largest = [r["name"] for r in rows if r["name"].startswith("baseline")][-1]
@@ -39,9 +40,9 @@ def windy_slope_page(result: Mapping[str, Any]) -> str:
         result=result,
         settings=settings,
         headings=list(METRICS.values()),
-        models=[_model(r, settings["num_seeds"]) for r in rows],
+        models=[_model(r) for r in rows],
         oracles={k: result["oracles"][k] and numbers.number(result["oracles"][k], 4) for k in ("population", "state")},
-        likelihood=page.embedded(likelihood_figure(rows, result["oracles"])),
+        likelihood=page.embedded(likelihood_figure(main, result["oracles"])),
         recovered=[row for j in range(len(scene["names"])) for row in _recovered(result, j)],
         alarms=[_alarm(name, found) for name, found in result["alarms"].items()],
         posterior_height=canvas.ROW * settings["num_iterations"],
@@ -69,9 +70,9 @@ def _iterations(models: Mapping[str, Any]) -> list[str]:
     return [name for name, model in models.items() if "population" in model]
 
 
-def _model(row: Mapping[str, Any], num_seeds: int) -> dict[str, Any]:
-    def told(pair: Sequence[float]) -> str:
-        return numbers.plus_minus(*pair) if num_seeds > 1 else numbers.number(pair[0], 4)
+def _model(row: Mapping[str, Any]) -> dict[str, Any]:
+    def told(pair: Sequence[float | None]) -> str:
+        return numbers.number(pair[0], 4) if pair[1] is None else numbers.plus_minus(*pair)
 
     source = numbers.plus_minus(*row["source"]) if row["source"] else numbers.MISSING
     values = [told(row["metrics"][m]) for m in METRICS]
@@ -120,8 +121,8 @@ def likelihood_figure(rows: Sequence[Mapping[str, Any]], oracles: Mapping[str, A
     traces = []
     for kind, colour in (("baseline", canvas.BEFORE), ("det2stoc", canvas.AFTER)):
         mine = [r for r in rows if r["name"].startswith(kind)]
-        x, y = np.array([r["real"] for r in mine], float), np.array([r["metrics"]["matched"] for r in mine])
-        bars = {"type": "data", "array": y[:, 1].tolist(), "color": colour}
+        x, y = np.array([r["real"] for r in mine], float), np.array([r["metrics"]["matched"] for r in mine], float)
+        bars = {"type": "data", "array": np.nan_to_num(y[:, 1]).tolist(), "color": colour}
         traces.append(
             canvas.line(x, y[:, 0], kind, colour, mode="lines+markers", error_y=bars, text=[r["name"] for r in mine],
                         hovertemplate="%{text}: %{y:.4~g}<extra></extra>")

@@ -21,7 +21,7 @@ def alarms(work: Work) -> dict[str, Any]:
     One decoder a prior; every seed has its own recordings and its own encoder.
     """
     settings, out = work.settings, {}
-    for name, prior in PRIORS.items():
+    for name, prior in PRIORS.items() if settings.num_alarm else ():
         psi = prior.draw(work.random(7), settings.num_alarm)
         simulated = Transitions.of_episodes(work.simulate(psi, "simulating for the alarm"))
         each, believed = np.repeat(psi, windy_slope.NUM_STEPS, 0), Population(psi.mean(0), psi.std(0))
@@ -31,7 +31,7 @@ def alarms(work: Work) -> dict[str, Any]:
             real = Transitions.of_episodes(work.recorded(number)[1][: REAL_EPISODES[0]])
             key = jax.random.key(700 + number)
             found = iterate(real, simulated, each, believed, key, options, work.progress, decoder)
-            decoder = found.simulator.decoder
+            decoder = found.pretrained
             turns.append(found)
         out[name] = {
             "outside": [t.outside.mean(0).tolist() for t in turns],

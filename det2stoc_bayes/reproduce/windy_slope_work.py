@@ -28,13 +28,14 @@ class Settings:
     num_test: int = 50  # episodes
     num_draws: int = 1000
     num_oracle: int = 150  # draws
-    num_alarm: int = 2_000  # episodes under each prior that the alarm is tried with
+    num_alarm: int = 2_000  # episodes under each prior that the alarm is tried with; 0: it is not
+    variants: bool = True  # what lies beyond the source's model
     baselines: tuple[int, ...] = (10, 100)  # episodes that each has
 
     @classmethod
     def quick(cls) -> "Settings":
         """A look in less than three minutes."""
-        return cls(1, 2, 300, 150, 1500, 1500, 1500, 10, 200, 20, 300)
+        return cls(1, 2, 300, 150, 1500, 1500, 1500, 10, 200, 20, 0, variants=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,19 +1,25 @@
 """Windy Slope: scene, oracles, a small run, its page, and what is kept of it."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from det2stoc_bayes import cli
+from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.models import windy_slope as scene
-from det2stoc_bayes.reproduce import windy_slope
+from det2stoc_bayes.reproduce import windy_slope, windy_slope_models
+from det2stoc_bayes.reproduce.windy_slope_alarm import PRIORS
 from det2stoc_bayes.reproduce.windy_slope_figures import EDGES, outlines
+from det2stoc_bayes.reproduce.windy_slope_models import MARGINAL, ROTATIONS, VARIANTS, Seed
 from det2stoc_bayes.reproduce.windy_slope_scores import betrayed, population_oracle, rollout_scores
+from det2stoc_bayes.reproduce.windy_slope_work import Work
 from det2stoc_bayes.transitions import Transitions
 
-TINY = windy_slope.Settings(1, 1, 40, 40, 200, 200, 200, 4, 60, 12, 40, baselines=(10,))
+TINY = windy_slope.Settings(1, 1, 40, 40, 200, 200, 200, 4, 60, 12, 40, False, (10,))
 
 
 # --- the scene ------------------------------------------------------------------------------------
@@ -132,14 +138,39 @@ def done(tmp_path_factory):
 def test_its_results_hold_every_model(done):
     result = json.loads((done / "results.json").read_text())
     names = [r["name"] for r in result["rows"]]
-    assert names == ["baseline 1000", "det2stoc 1", windy_slope.MARGINAL]
+    assert names == ["baseline 1000", "det2stoc 1", MARGINAL]
     matched = [r["metrics"]["matched"][0] for r in result["rows"]]
     assert np.isfinite(matched).all() and max(matched) < result["oracles"]["population"]
     models = result["seeds"][0]["models"]
     assert [models[n]["real"] for n in names] == [1000, 600, 600]
+    assert list(result["alarms"]) == list(PRIORS)
+    assert all(0 <= p <= 1 for found in result["alarms"].values() for p in found["alarm"])
     told = models["det2stoc 1"]
     assert len(told["episodes"]) == 6 and np.shape(told["pooled_draws"]) == (3, 600)
     assert result["oracles"]["population"] == pytest.approx(99, abs=6)  # of 4 episodes; over many: 99 to 100
+
+
+def test_what_lies_beyond_the_source_s_model(done, monkeypatch):
+    """Every variant learns from what the iteration learned from, with its decoder unless its Gaussians differ."""
+    settings = replace(TINY, variants=True)
+    work = Work(done, settings, 0, lambda *_: None)
+    monkeypatch.setattr(Work, "kept", lambda self, name, make: make())
+    psi, states = work.recorded(0)
+    seen = []
+
+    def iterate(real, simulated, psi, believed, key, options, progress, decoder):
+        seen.append((len(real), len(simulated), options, decoder))
+        return SimpleNamespace(simulator=StochasticSimulator.load(work.saved(0, "det2stoc 1")))
+
+    monkeypatch.setattr(windy_slope_models, "iterate", iterate)
+    monkeypatch.setattr(windy_slope_models, "transition_scores", lambda simulator, *_: {"is": simulator.rotations})
+    monkeypatch.setattr(windy_slope_models, "rollout_scores", lambda *_: {})
+    made = Seed(work, 0, psi, states, states[:2])._variants({}, 0)
+    assert list(made) == [f"det2stoc 1, {kind}" for kind in (*VARIANTS, ROTATIONS)]
+    assert [m["metrics"]["is"] for m in made.values()] == [(), (), (), (3,)]
+    assert all(n == 600 and m == 4000 for n, m, *_ in seen)
+    assert [o.full or (o.num_extra, o.num_components) for *_, o, _ in seen] == [True, (2, 1), (0, 3)]
+    assert [d is None for *_, d in seen] == [True, False, False]
 
 
 def test_its_page_has_the_source_s_figures(done):
@@ -151,8 +182,8 @@ def test_its_page_has_the_source_s_figures(done):
 
 def test_what_is_done_is_not_done_again(done, monkeypatch):
     monkeypatch.setattr(windy_slope.Settings, "quick", lambda: TINY)
-    for name in ("iterate", "baseline", "figures"):
-        monkeypatch.setattr(windy_slope, name, lambda *_, **__: pytest.fail("made again"))
+    for module, name in ((windy_slope_models, "iterate"), (windy_slope_models, "baseline"), (windy_slope, "figures")):
+        monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("made again"))
     again = json.loads(json.dumps(windy_slope.run(done, quick=True)))
     assert again == json.loads((done / "results.json").read_text())
 

@@ -1,0 +1,175 @@
+"""The models of one seed of Windy Slope: baselines, the algorithm's iterations, and what lies beyond the source's."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.files import replacing
+from det2stoc_bayes.inference._amortized import Iteration, Options, Population, baseline, iterate, marginal
+from det2stoc_bayes.inference._cvae import Schedule
+from det2stoc_bayes.inference._stochastic import StochasticSimulator
+from det2stoc_bayes.models import windy_slope
+from det2stoc_bayes.reproduce.windy_slope_scores import rolled_out, rollout_scores, transition_scores
+from det2stoc_bayes.reproduce.windy_slope_work import REAL_EPISODES, Work
+from det2stoc_bayes.transitions import Transitions
+
+NUM_LATENTS = len(windy_slope.NAMES)
+MARGINAL = "det2stoc z integrated out"
+VARIANTS = {
+    "full covariances": Options(full=True),
+    "2 more latents": Options(num_extra=2),
+    "mixture of 3 as prior": Options(num_components=3),
+}
+ROTATIONS = "valid rotations"
+MATRIX = windy_slope.STATE.index("R00")  # where the rotation matrix begins in the state
+VARIED_TURN = 2  # the third iteration, the source's last; variants are made of the first seed alone
+
+Told = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Seed:
+    """A seed's recordings, and the test set that all of its models are scored on."""
+
+    work: Work
+    number: int
+    psi: Float[np.ndarray, "episodes 3"]
+    states: Float[np.ndarray, "episodes samples 18"]
+    tested: Float[np.ndarray, "tests samples 18"]
+
+    def models(self) -> dict[str, Told]:
+        """All of them by name, each kept as soon as it is done."""
+        found = self._baselines()
+        found |= self._iterations()
+        last = self.work.settings.num_iterations
+        found[MARGINAL] = self.work.model(self.number, MARGINAL, lambda: self._marginal(_next(found, last), last))
+        if self.number == 0 and self.work.settings.variants:
+            found |= self._variants(found, min(VARIED_TURN, last - 1))
+        return found
+
+    def _baselines(self) -> dict[str, Told]:
+        work, found = self.work, {}
+        options = Options(baseline=Schedule(work.settings.baseline_steps, batch=256, learning_rate=2e-3))
+        for episodes in work.settings.baselines:
+            real = Transitions.of_episodes(self.states[:episodes])
+            name = f"baseline {len(real)}"
+
+            def learn(real: Transitions = real, name: str = name) -> Told:
+                made, history = baseline(real, NUM_LATENTS, jax.random.key(self.number), options, work.progress)
+                return self._scored(made, name, len(real)) | {"steps": history[-1][0]}
+
+            found[name] = work.model(self.number, name, learn)
+        return found
+
+    def _iterations(self) -> dict[str, Told]:
+        found: dict[str, Told] = {}
+        for turn in range(self.work.settings.num_iterations):
+            name = f"det2stoc {turn + 1}"
+
+            def learn(turn: int = turn, name: str = name) -> Told:
+                made = self._turned(_next(found, turn) if turn else None, turn)
+                drawn = self.psi[: REAL_EPISODES[turn]]
+                about = {"drawn": {"mean": drawn.mean(0).tolist(), "sd": drawn.std(0, ddof=1).tolist()}}
+                return self._scored(made.simulator, name, len(self._real(turn))) | told(made) | about
+
+            found[name] = self.work.model(self.number, name, learn)
+        return found
+
+    def _turned(self, believed: Population | None, turn: int) -> Iteration:
+        """One turn of the algorithm, from psi_0 where nothing is believed yet."""
+        psi, simulated = _first(self.work) if believed is None else self._simulated(believed, turn)
+        believed = believed or Population(psi.mean(0), psi.std(0))
+        steps = self.work.settings.decoder_steps if turn else self.work.settings.first_steps
+        return self._iterate(psi, simulated, believed, turn, _decoding(steps))
+
+    def _iterate(self, psi, simulated: Transitions, believed: Population, turn: int, options: Options, decoder=None):
+        each, key = np.repeat(psi, windy_slope.NUM_STEPS, 0), jax.random.key(100 * self.number + turn)
+        return iterate(self._real(turn), simulated, each, believed, key, options, self.work.progress, decoder)
+
+    def _real(self, turn: int) -> Transitions:
+        return Transitions.of_episodes(self.states[: REAL_EPISODES[turn]])
+
+    def _simulated(self, believed: Population, turn: int) -> tuple[Float[np.ndarray, "episodes 3"], Transitions]:
+        """psi of a population, and episodes under them."""
+        work = self.work
+        z = work.random(2, self.number, turn).standard_normal((work.settings.num_simulated, NUM_LATENTS))
+        psi = believed.loc + believed.scale * z
+        psi[:, 0] = np.maximum(psi[:, 0], windy_slope.LEAST_FRICTION)
+        return psi, Transitions.of_episodes(work.simulate(psi, "simulating"))
+
+    def _marginal(self, believed: Population, last: int) -> Told:
+        _, simulated = self._simulated(believed, last)
+        options, key = _decoding(self.work.settings.first_steps), jax.random.key(100 * self.number + last)
+        made, _ = marginal(simulated, key, options, self.work.progress)
+        return self._scored(made, MARGINAL, len(self._real(last - 1)))
+
+    def _variants(self, models: dict[str, Told], turn: int) -> dict[str, Told]:
+        """An iteration again: from the same recordings and simulations, and with its decoder where that serves."""
+        found, name = {}, f"det2stoc {turn + 1}"
+        believed = _next(models, turn) if turn else None
+
+        def learn(kind: str) -> Told:
+            plain = StochasticSimulator.load(self.work.saved(self.number, name))
+            if kind == ROTATIONS:
+                made = replace(plain, rotations=(MATRIX,))
+            else:
+                psi, simulated = _first(self.work) if believed is None else self._simulated(believed, turn)
+                population = believed or Population(psi.mean(0), psi.std(0))
+                options = replace(VARIANTS[kind], decoder=_decoding(self.work.settings.decoder_steps).decoder)
+                decoder = None if options.full else plain.decoder
+                made = self._iterate(psi, simulated, population, turn, options, decoder).simulator
+            return self._scored(made, f"{name}, {kind}", len(self._real(turn)))
+
+        for kind in (*VARIANTS, ROTATIONS):
+            found[f"{name}, {kind}"] = self.work.model(self.number, f"{name}, {kind}", lambda kind=kind: learn(kind))
+        return found
+
+    def _scored(self, simulator: StochasticSimulator, name: str, real: int) -> Told:
+        simulator.save(self.work.saved(self.number, name))
+        draws, test = self.work.settings.num_draws, Transitions.of_episodes(self.tested)
+        scores = transition_scores(simulator, test, draws, self.number)
+        rolled = rolled_out(simulator, self.tested[0, 0], draws, self.number)
+        return {"real": real, "metrics": scores | rollout_scores(rolled, self.tested)}
+
+
+def _decoding(num_steps: int) -> Options:
+    return Options(decoder=Schedule(num_steps, batch=1000, learning_rate=5e-3))
+
+
+def _next(models: dict[str, Told], turn: int) -> Population:
+    """What an iteration found, from which the next one simulates."""
+    found = models[f"det2stoc {turn}"]["next"]
+    return Population(np.array(found["loc"]), np.array(found["scale"]))
+
+
+def told(found: Iteration) -> Told:
+    """An iteration's posteriors as plain lists."""
+    after = found.next_population
+    return {
+        "next": {"loc": after.loc.tolist(), "scale": after.scale.tolist()},
+        "pooled": {"mean": found.pooled.loc.tolist(), "sd": found.pooled.scale.tolist()},
+        "pooled_draws": found.pooled_draws.T.tolist(),
+        "population": {
+            "mean": found.mean_draws.mean(0).tolist(),
+            "mean_sd": found.mean_draws.std(0).tolist(),
+            "sd": found.sd_draws.mean(0).tolist(),
+            "sd_sd": found.sd_draws.std(0).tolist(),
+        },
+        "episodes": found.episode_means.tolist(),
+        "divergences": found.divergences.tolist(),
+    }
+
+
+def _first(work: Work) -> tuple[Float[np.ndarray, "episodes 3"], Transitions]:
+    """psi_0 and its simulations."""
+    path = work.out / "parts" / f"psi_0_{work.seed}_{work.settings.num_first}.npz"
+    if not path.is_file():
+        psi = windy_slope.PRIOR.draw(work.random(3), work.settings.num_first)
+        states = work.simulate(psi, "simulating psi_0")
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, psi=psi, states=states)
+    data = np.load(path)
+    return data["psi"], Transitions.of_episodes(data["states"])
