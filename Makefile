@@ -5,7 +5,7 @@ UV_VERSION := 0.13.8
 BIN := .venv/bin
 READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
 
-.PHONY: help test lint format demo bench real stripped clean
+.PHONY: help test lint format demo bench real stripped amortized clean
 NAMES := pendulum_multiarm servo_xl330 ball_drops
 .DELETE_ON_ERROR:
 
@@ -17,6 +17,7 @@ help:
 	@echo "make bench   the benchmarks"
 	@echo "make real    diagnose real recordings: STUDIES=folder NAMES=\"one two\""
 	@echo "make stripped  the same without a documented piece of their models"
+	@echo "make amortized  det2stoc and a CVAE of recordings alone on them: held-out log densities"
 	@echo "make clean   remove .venv and caches; results in out/ stay"
 
 test: lint
@@ -36,13 +37,16 @@ demo: $(READY)
 
 bench: $(READY)
 	@UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --group bench --python $(BIN)/python
-	@for file in $(filter-out benchmarks/real.py benchmarks/stripped.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python "$$file" || exit 1; done
+	@for file in $(filter-out benchmarks/real.py benchmarks/stripped.py benchmarks/amortized.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python "$$file" || exit 1; done
 
 real: $(READY)
 	@$(BIN)/python benchmarks/real.py $(if $(STUDIES),--studies $(STUDIES)) $(NAMES)
 
 stripped: $(READY)
 	@$(BIN)/python benchmarks/stripped.py $(if $(STUDIES),--studies $(STUDIES)) $(NAMES)
+
+amortized: $(READY)
+	@$(BIN)/python benchmarks/amortized.py $(if $(STUDIES),--studies $(STUDIES))
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis build dist
