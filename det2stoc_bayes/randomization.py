@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.errors import Det2StocError, listing
 from det2stoc_bayes.files import atomic_write
 from det2stoc_bayes.mismatch.patch import make_patch
 from det2stoc_bayes.posterior import DataTree
@@ -26,6 +26,10 @@ def draw_psi(
 
     Draws are taken without replacement as long as there are enough. Det2StocError: a psi that the posterior lacks.
     """
+    if "posterior" not in tree.children:
+        raise Det2StocError(
+            f"the fit by {tree.attrs.get('method')} infers no psi; allowed: a posterior, as laplace gives"
+        )
     posterior = tree["posterior"].to_dataset()
     total = posterior.sizes["chain"] * posterior.sizes["draw"]
     rows = random.choice(total, num_draws, replace=num_draws > total)
@@ -67,10 +71,13 @@ def export(
     texts: dict[Path, str | bytes] = {}
     assets: Mapping[str, Path] = {}
     for i, row in enumerate(psi if models else ()):
-        patch = make_patch(study, dict(zip(names, map(float, row), strict=True)))
-        if patch.module is not None:
+        values = dict(zip(names, map(float, row), strict=True))
+        patch = make_patch(study, values)
+        if patch.unsaid:
+            told = ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
             raise Det2StocError(
-                f"{study.folder}: MJCF cannot say all that psi sets; allowed: --no-models, for the table alone"
+                f"{study.folder}: draw {i + 1}, {told}: MJCF does not take {listing(patch.unsaid)}, as an inertia "
+                "that no solid has; allowed: --no-models, for the table alone"
             )
         texts[folder / files[i]] = patch.model
         assets = patch.assets

@@ -75,6 +75,24 @@ def test_a_posterior_of_another_study_is_refused(study):
         draw_psi(study, tree, 3, np.random.default_rng(0))
 
 
+def test_a_fit_that_infers_no_psi_is_refused(study):
+    tree = xr.DataTree.from_dict({"predictions": xr.Dataset()})
+    tree.attrs["method"] = "baseline_cvae"
+    with pytest.raises(Det2StocError, match="baseline_cvae infers no psi"):
+        draw_psi(study, tree, 3, np.random.default_rng(0))
+
+
+def test_what_mjcf_does_not_take_is_an_error(tmp_path):
+    """Moments of inertia of which one exceeds the sum of the others; the table alone says them."""
+    toml = '[psi.inertia]\ntarget = "body/arm/inertia"\nindex = [0]\nprior = { Uniform = { low = 1, high = 2 } }\n'
+    study = make_study(tmp_path / "study", model_xml(HINGE), toml)
+    tree = xr.DataTree.from_dict({"posterior": xr.Dataset({"inertia": (("chain", "draw"), np.full((1, 4), 1.5))})})
+    with pytest.raises(Det2StocError, match="draw 1, inertia = 1.5: .*body_inertia.*--no-models"):
+        export(study, tree, tmp_path / "out", num_draws=2)
+    assert not (tmp_path / "out").exists()
+    assert export(study, tree, tmp_path / "out", num_draws=2, models=False)[0].read_text() == "inertia\n1.5\n1.5\n"
+
+
 def test_command(tmp_path):
     toml = TOML.replace('varies = "trajectory"\n', "")
     study = make_study(tmp_path / "study", model_xml(HINGE), toml)

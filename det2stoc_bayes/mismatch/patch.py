@@ -23,12 +23,13 @@ Effects = Sequence[tuple[PlacedEffect, Values]]
 class Patch:
     """Texts of patched.xml and of effects.py (None where nothing needs it), and the files to lie beside them.
 
-    `assets`: path relative to patched.xml -> file.
+    `assets`: path relative to patched.xml -> file. `unsaid`: fields of the model that MJCF cannot say.
     """
 
     model: str
     module: str | None
     assets: Mapping[str, Path]
+    unsaid: tuple[str, ...] = ()
 
 
 def make_patch(
@@ -52,7 +53,7 @@ def make_patch(
     fields = [_field_write(wanted, name, where) for name, where in differences(wanted, reloaded).items()]
     comment = _comment(study, psi, effects, fields)
     files = {p.relative_to(study.folder).as_posix(): p for p in assets(study)}
-    return Patch(f"{comment}\n{text.lstrip()}", module_text(effects, fields), files)
+    return Patch(f"{comment}\n{text.lstrip()}", module_text(effects, fields), files, tuple(f.field for f in fields))
 
 
 def assets(study: Study) -> list[Path]:
