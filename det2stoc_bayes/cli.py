@@ -83,8 +83,8 @@ def fit(
         tree = verbs.fit(believed, method, **options)
         rows, told, path = summarize(tree), predicted(tree), out / "fit.nc"
         posterior.save(tree, path)
-        if misses := posterior.misfit(tree):
-            warnings.warn(misses, StudyWarning, stacklevel=1)
+        for doubt in filter(None, (posterior.misfit(tree), posterior.beyond_prior(tree))):
+            warnings.warn(doubt, StudyWarning, stacklevel=1)
     title = f"{believed.name}, {method}: {num_samples} draws in {path}"
     shown = tables.fit_json(rows, told, tree.attrs, str(path)) if as_json else tables.fit_tables(rows, told, title)
     _show(shown, as_json)

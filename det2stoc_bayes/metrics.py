@@ -9,14 +9,18 @@ FLOOR = 1e-5  # sd of a matched Gaussian in every dimension, raw units
 
 
 def matched_log_density(
-    draws: Float[np.ndarray, "draws points size"], true: Float[np.ndarray, "points size"], floor: float = FLOOR
+    draws: Float[np.ndarray, "draws points size"],
+    true: Float[np.ndarray, "points size"],
+    floor: float | Float[np.ndarray, " size"] = FLOOR,
 ) -> Float[np.ndarray, " points"]:
     """log density of the diagonal Gaussian with the draws' moments, summed over dimensions."""
     return gaussian_log_density(true - draws.mean(0), draws.std(0), floor)
 
 
 def gaussian_log_density(
-    off: Float[np.ndarray, "points size"], sd: Float[np.ndarray, "points size"], floor: float = FLOOR
+    off: Float[np.ndarray, "points size"],
+    sd: Float[np.ndarray, "points size"],
+    floor: float | Float[np.ndarray, " size"] = FLOOR,
 ) -> Float[np.ndarray, " points"]:
     """log density of a diagonal Gaussian at a distance from its mean, its sd at least the floor."""
     sd = np.maximum(sd, floor)

@@ -36,6 +36,7 @@ PACKAGES = (
     "xarray",
 )
 GROUPS = ("posterior", "unconstrained_posterior", "sample_stats", "observed_data", "log_likelihood")
+ALARM = 0.5  # probability that psi lies beyond what was simulated
 PREDICTIVE = ("observed_data", "predictions")  # groups of a method that infers no psi
 ATTRIBUTES = (
     "method", "options", "seed", "versions", "seconds_compile", "seconds_run", "simulations", "gradients",
@@ -162,6 +163,19 @@ def misfit(tree: xr.DataTree) -> str:
     return (
         f"the model's squared misfit of the recordings is {inflation:.3g} times what their noise explains: intervals "
         "hold only if the model is right, and this speaks against it; `det2stoc diagnose` looks for what it leaves out"
+    )
+
+
+def beyond_prior(tree: xr.DataTree) -> str:
+    """That psi's truth lies beyond what an amortized method simulated, in a sentence; empty where it does not."""
+    if "turns" not in tree.children:
+        return ""
+    alarm = float(tree["turns"].to_dataset()["alarm"].values[-1])
+    if not alarm > ALARM:
+        return ""
+    return (
+        f"with probability {alarm:.2g} psi lies beyond all that was simulated to learn from: its prior excludes it, "
+        "or the model cannot move as the recordings do"
     )
 
 

@@ -5,7 +5,7 @@ sample, how the state has changed since the one before (where some speed was not
 recording, and the time that passes where it is uneven.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 
 from det2stoc_bayes.engines.base import Request
 from det2stoc_bayes.errors import MethodNotApplicable
+from det2stoc_bayes.likelihood import align_quaternions
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.recording import Recording
 from det2stoc_bayes.segments import Segments, from_pieces, mean_commands
@@ -22,6 +23,7 @@ from det2stoc_bayes.transitions import Transitions
 
 NUM_TRANSITIONS = 100  # of a recording of median length
 STRETCH = 10  # transitions that one simulation gives
+FEWEST = 5  # transitions of the shortest recording
 START_SPREAD = 0.2  # of a coordinate's variation: simulations start about recorded states
 EVEN = 1e-6  # of a time step: less is rounding
 
@@ -35,9 +37,15 @@ class StudyTransitions:
 
     @classmethod
     def of(cls, problem: Problem) -> "StudyTransitions":
-        """As many samples a step as leave about NUM_TRANSITIONS steps a recording."""
-        lengths = [len(r.time) for r in problem.segments.recordings]
-        return cls(problem, max(1, round(float(np.median(lengths)) / NUM_TRANSITIONS)))
+        """As many samples a step as leave about NUM_TRANSITIONS steps a recording, and FEWEST of the shortest.
+
+        MethodNotApplicable: simulations could not start within a recording, or noise is not Gaussian.
+        """
+        _refuse(problem)
+        study = problem.simulator.study
+        every = round(float(np.median([len(r.time) for r in study.recordings])) / NUM_TRANSITIONS)
+        shortest = min(len(r.time) for r in (*study.recordings, *study.holdout))
+        return cls(problem, max(1, min(every, (shortest - 1) // FEWEST)))
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -53,7 +61,8 @@ class StudyTransitions:
     @cached_property
     def uneven(self) -> bool:
         """Whether states are not equally far apart in time."""
-        steps = np.concatenate([np.diff(r.time[:: self.every]) for r in self.problem.segments.recordings])
+        study = self.problem.simulator.study
+        steps = np.concatenate([np.diff(r.time[:: self.every]) for r in (*study.recordings, *study.holdout)])
         return bool(np.ptp(steps) > EVEN * steps.mean())
 
     def recorded(self, recordings: Sequence[Recording] | None = None) -> Transitions:
@@ -74,12 +83,7 @@ class StudyTransitions:
         """The recordings cut where simulations start."""
         return self._cut(self.problem.segments.recordings, STRETCH)
 
-    def simulated(
-        self,
-        psi: Float[np.ndarray, "sims psi"],
-        random: np.random.Generator,
-        progress: Callable[[int, int], None] = lambda *_: None,
-    ) -> Transitions:
+    def simulated(self, psi: Float[np.ndarray, "sims psi"], random: np.random.Generator) -> Transitions:
         """Transitions under the given psi, measurement noise included; simulations start where recordings were."""
         problem, segments = self.problem, self.stretches
         simulator, guess = problem.simulator, guess_starts(problem.simulator.model, segments)
@@ -90,11 +94,11 @@ class StudyTransitions:
         names = [segments.recordings[segments.recording[w]].name for w in which]
         fields = simulator.fields(psi, names)
         predicted = simulator.rollout(Request(segments, which, start, fields, (), problem.timestep, problem.integrator))
-        progress(len(psi), len(psi))
-        degrees = problem.measurement.degrees_of_freedom
-        shape = predicted.shape
-        noise = random.standard_normal(shape) if degrees is None else random.standard_t(degrees, shape)
-        return self._rows(segments, predicted + problem.noise * noise, which, np.arange(len(psi)))
+        recorded = predicted + problem.noise * random.standard_normal(predicted.shape)
+        recorded = align_quaternions(recorded, segments.values[which], problem.quaternions)
+        for group in problem.quaternions:  # those that were read have unit length
+            recorded[..., group] /= np.linalg.norm(recorded[..., group], axis=-1, keepdims=True)
+        return self._rows(segments, recorded, which, np.arange(len(psi)))
 
     def _cut(self, recordings: Sequence[Recording], length: int | None) -> Segments:
         """Every `every`-th sample of recordings, in stretches of about `length` steps that share their ends."""
@@ -126,10 +130,11 @@ class StudyTransitions:
         known = self._known([segments.recordings[r].name for r in segments.recording])[which]
         given.append(np.repeat(known[:, None], state.shape[1], 1))
         if self.uneven:
-            given.append(np.diff(time, axis=1)[:, first:, None])
+            steps = np.diff(time, axis=1)
+            given += [steps[:, first:, None], *([steps[:, :-1, None]] if self.remembers else [])]
         action = np.concatenate(given, -1)
-        steps = np.arange(first, values.shape[1] - 1)
-        whole = (steps < last[:, None]) & np.isfinite(np.concatenate([state, change, action], -1)).all(-1)
+        place = np.arange(first, values.shape[1] - 1)
+        whole = (place < last[:, None]) & np.isfinite(np.concatenate([state, change, action], -1)).all(-1)
         owner = np.broadcast_to(episode[:, None], whole.shape)
         return Transitions(state[whole], action[whole], change[whole], owner[whole])
 
@@ -150,3 +155,15 @@ class StudyTransitions:
         simulator = self.problem.simulator
         fields = simulator.fields(np.tile(simulator.believed, (len(names), 1)), names)
         return np.concatenate([np.zeros((len(names), 0)), *(v.reshape(len(names), -1) for v in fields.values())], 1)
+
+
+def _refuse(problem: Problem) -> None:
+    """What transitions cannot be simulated like: states that no sample tells, and noise with heavy tails."""
+    simulator = problem.simulator
+    allowed = "allowed: a method that simulates whole recordings, as nuts or laplace"
+    if simulator.model.na:
+        raise MethodNotApplicable(f"the model's actuators have states, which no sample tells; {allowed}")
+    if not guess_starts(simulator.model, problem.segments).seen.all():
+        raise MethodNotApplicable(f"some joint's position is not recorded; {allowed}")
+    if problem.measurement.degrees_of_freedom is not None:
+        raise MethodNotApplicable(f"noise is student_t, and learned likelihoods are Gaussian; {allowed}")

@@ -123,7 +123,8 @@ def fit_tables(
         ess = MISSING if r.ess is None else f"{r.ess:.0f}"
         made.add_row(escape(r.name), number(r.mean), number(r.sd, 2), f"{number(low)} to {number(high)}", r_hat, ess)
     ways = ("matched Gaussian>", "mixture>", "one z>")
-    heldout = table("held-out log density [nat a transition]", "recording", "transitions>", *ways)
+    head = "held-out log density [nat a transition]"
+    heldout = table(head if rows else f"{title}: {head}", "recording", "transitions>", *ways)
     for t in told:
         values = (number(v) for v in (t.matched, t.mixture, t.one_latent))
         heldout.add_row(escape(t.recording), str(t.num_transitions), *values)

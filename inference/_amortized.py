@@ -73,7 +73,7 @@ class Iteration:
     episode_covariances: Float[np.ndarray, "episodes psi psi"]
     mean_draws: Float[np.ndarray, "draws psi"]  # posterior of the population's mean
     sd_draws: Float[np.ndarray, "draws psi"]  # and of its sd
-    divergences: Float[np.ndarray, " z"]  # KL(q || prior) of each latent, mean over transitions [nat]
+    divergences: Float[np.ndarray, " z"]  # KL(q || N(0, 1)) of each latent, mean over transitions [nat]
     history: Mapping[str, History]
 
     @property
@@ -100,9 +100,14 @@ class Iteration:
 
     @property
     def predictive(self) -> StochasticSimulator:
-        """The stochastic simulator with the latent of the population that was inferred, not the one simulated from."""
+        """The stochastic simulator with the population that was inferred as prior, not the one simulated from.
+
+        Latents beside psi's stay standard normal.
+        """
         now, then = self.next_population, self.believed
-        loc, scale = then.standard(now.loc), now.scale / then.scale
+        further = self.simulator.decoder.latents - len(now.loc)
+        loc = np.append(then.standard(now.loc), np.zeros(further))
+        scale = np.append(now.scale / then.scale, np.ones(further))
         return replace(self.simulator, latent=LatentMixture.normal(loc, scale))
 
 
@@ -148,15 +153,17 @@ def recognize(
 ) -> tuple[Cvae, History]:
     """q(z | s, a, s') on recordings under the frozen decoder, and what else is learned from recordings."""
     x, y = scaling.standard(real)
-    net, split, train, apart = jax.random.split(key, 4)
-    extended = ExtendedDecoder(decoder, options.num_extra, apart) if options.num_extra else decoder
+    net, split, train, apart, push = jax.random.split(key, 5)
+    extended = ExtendedDecoder(decoder, options.num_extra, push) if options.num_extra else decoder
     size = extended.latents
     mixed = options.num_components > 1
     prior = LatentMixture.first(size, options.num_components, apart) if mixed else standard_normal(size)
+    # The expectation over the prior would shrink a prior, or weights of further latents, that are learned with it.
+    alpha = 1.0 if mixed or options.num_extra else options.alpha
     encoder = Encoder(x.shape[1], y.shape[1], size, net, drop=options.dropout, full=options.full)
     cvae = Cvae(encoder, extended, prior, options.num_extra == 0)
     params, history = optimize(
-        HybridELBO(options.alpha), cvae.model, cvae.guide, *_split(split, real, x, y), train, options.encoder,
+        HybridELBO(alpha), cvae.model, cvae.guide, *_split(split, real, x, y), train, options.encoder,
         progress=lambda done, total: progress("training the encoder", done, total),
     )  # fmt: skip
     return cvae.with_params(params), history
@@ -227,10 +234,15 @@ def baseline(
 
 
 def _split(key: PRNGKeyArray, data: Transitions, *arrays: np.ndarray) -> tuple[list[Any], list[Any]]:
-    """Rows to learn from and rows to judge by, which are whole episodes: neighbours in time are alike."""
+    """Rows to learn from and rows to judge by, which are whole episodes: neighbours in time are alike.
+
+    Of a single episode its end is held back.
+    """
     episodes = np.unique(data.episode)
     order = np.asarray(jax.random.permutation(key, len(episodes)))
     held = np.isin(data.episode, episodes[order[: max(int(VALIDATION * len(episodes)), 1)]])
+    if len(episodes) == 1:
+        held = np.arange(len(data)) >= (1 - VALIDATION) * len(data)
     judged = np.flatnonzero(held)
     judged = judged[:: -(-len(judged) // MOST_JUDGED)]
     return [jnp.asarray(a[~held]) for a in arrays], [jnp.asarray(a[judged]) for a in arrays]

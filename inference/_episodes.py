@@ -54,12 +54,12 @@ class Episodes:
         # A network's valleys have several bottoms: from the encoder's guess and from the prior's centre, the deeper.
         guess, _ = self.amortized()
         given = (self.x, self.y, self.weight)
-        (one, z, covariance), (other, z_other, covariance_other) = (
+        (one, z, fisher), (other, z_other, fisher_other) = (
             _summits(self.cvae.decoder, start, *given) for start in (guess, jnp.zeros_like(guess))
         )
         first = one >= other
         z = jnp.where(first[:, None], z, z_other)
-        return np.asarray(z, float), np.asarray(jnp.where(first[:, None, None], covariance, covariance_other), float)
+        return np.asarray(z, float), _inverse(np.asarray(jnp.where(first[:, None, None], fisher, fisher_other), float))
 
 
 def log_joint(
@@ -95,7 +95,7 @@ def _fisher(decoder: Callable[..., Any], z: Array, x: Array, weight: Array) -> F
 def _summits(
     decoder: Callable[..., Any], start: Array, x: Array, y: Array, weight: Array
 ) -> tuple[Array, Array, Array]:
-    """Height, place and covariance of each episode's summit, climbed from a start."""
+    """Height, place and information of each episode's summit, climbed from a start."""
 
     def one(z: Array, x: Array, y: Array, weight: Array) -> tuple[Array, Array, Array]:
         def step(z: Array, _: None) -> tuple[Array, None]:
@@ -107,9 +107,15 @@ def _summits(
             return jnp.where(values[best] > value, tried[best], z), None
 
         z, _ = jax.lax.scan(step, z, None, length=STEPS)
-        return log_joint(decoder, z, x, y, weight), z, jnp.linalg.inv(_fisher(decoder, z, x, weight))
+        return log_joint(decoder, z, x, y, weight), z, _fisher(decoder, z, x, weight)
 
     return jax.vmap(one)(start, x, y, weight)
+
+
+def _inverse(fisher: Float[np.ndarray, "episodes z z"]) -> Float[np.ndarray, "episodes z z"]:
+    """Covariances in double precision: information is at least the prior's, whatever single precision made of it."""
+    values, vectors = np.linalg.eigh(0.5 * (fisher + np.swapaxes(fisher, 1, 2)))
+    return np.einsum("eij,ej,ekj->eik", vectors, 1.0 / np.maximum(values, 1.0), vectors)
 
 
 def population_draws(

@@ -13,42 +13,57 @@ from det2stoc_bayes.transitions import Transitions
 
 ROWS = 500  # at a time
 NUM_DRAWS = 1000
+LEAST_SD = 0.1  # of a column's noise: no change that was measured is surer
 DENSITIES = ("one_latent", "mixture", "matched")
 
 
 def row_scores(
-    simulator: StochasticSimulator, data: Transitions, num_draws: int, key: PRNGKeyArray
+    simulator: StochasticSimulator,
+    data: Transitions,
+    num_draws: int,
+    key: PRNGKeyArray,
+    floor: float | Float[np.ndarray, " s"] = metrics.FLOOR,
 ) -> tuple[dict[str, Float[np.ndarray, " rows"]], Float[np.ndarray, "rows s"]]:
     """Three log densities of each transition and the energy score of its draws; its ranks among them.
 
     one_latent: log p(y | x, z) of a single z from the prior; mixture: of the mean over z; matched: of the Gaussian
-    with the draws' moments. In raw units [nat]; the energy score in sds of the changes.
+    with the draws' moments, its sds at least the floor. In raw units [nat]; the energy score in sds of the changes.
     """
     found: dict[str, list[np.ndarray]] = {n: [] for n in (*DENSITIES, "energy")}
-    ranks, unit = [], np.maximum(data.change.std(0), np.finfo(float).tiny)
+    ranks, unit = [], data.change.std(0)
+    unit = np.where(unit > 0, unit, 1.0)
     for k, begin in enumerate(range(0, len(data), ROWS)):
         part = data[begin : begin + ROWS]
         draws, terms = simulator.draws(jax.random.fold_in(key, k), part, num_draws)
         found["one_latent"].append(terms[0])
         found["mixture"].append(metrics.mixture_log_density(terms))
-        found["matched"].append(metrics.matched_log_density(draws, part.change))
+        found["matched"].append(metrics.matched_log_density(draws, part.change, floor))
         found["energy"].append(metrics.energy_score(draws / unit, part.change / unit))
         ranks.append(metrics.pit(draws, part.change))
     return {n: np.concatenate(v) for n, v in found.items()}, np.concatenate(ranks)
 
 
-def predictions(
-    simulator: StochasticSimulator, transitions: StudyTransitions, key: PRNGKeyArray, num_draws: int = NUM_DRAWS
-) -> dict[str, tuple[tuple[str, ...], Any]]:
-    """Log densities of a study's held-out recordings, means over each one's transitions; nothing without holdout."""
+def heldout_transitions(transitions: StudyTransitions) -> Transitions | None:
+    """Those of the study's held-out recordings; None where it has none."""
     holdout = transitions.problem.simulator.study.holdout
-    if not holdout:
+    return transitions.recorded(holdout) if holdout else None
+
+
+def predictions(
+    simulator: StochasticSimulator,
+    transitions: StudyTransitions,
+    heldout: Transitions | None,
+    key: PRNGKeyArray,
+    num_draws: int = NUM_DRAWS,
+) -> dict[str, tuple[tuple[str, ...], Any]]:
+    """Log densities of held-out recordings, means over each one's transitions; nothing where there are none."""
+    if heldout is None:
         return {}
-    data = transitions.recorded(holdout)
-    scores, _ = row_scores(simulator, data, num_draws, key)
-    of = [data.episode == r for r in range(len(holdout))]
+    names = [r.name for r in transitions.problem.simulator.study.holdout]
+    scores, _ = row_scores(simulator, heldout, num_draws, key, LEAST_SD * transitions.problem.noise)
+    of = [heldout.episode == r for r in range(len(names))]
     told = {f"log_density_{n}": (("heldout",), np.array([scores[n][rows].mean() for rows in of])) for n in DENSITIES}
     return told | {
         "num_transitions": (("heldout",), np.array([rows.sum() for rows in of])),
-        "heldout": (("heldout",), np.array([r.name for r in holdout])),
+        "heldout": (("heldout",), np.array(names)),
     }

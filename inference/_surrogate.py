@@ -10,7 +10,7 @@ import numpy as np
 import numpyro
 import numpyro.distributions as dist
 from jaxtyping import Array, Float, PRNGKeyArray
-from numpyro.infer import MCMC, NUTS, init_to_value
+from numpyro.infer import MCMC, NUTS
 
 from det2stoc_bayes.inference._amortized import Iteration, Population
 from det2stoc_bayes.inference._cvae import normal
@@ -19,6 +19,7 @@ from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.transitions import Transitions
 
 NUM_WARMUP = 400
+APART = 0.3  # prior sds between chains' starts: networks' valleys may have several bottoms
 MOST_DOUBLINGS = 7  # leapfrog steps of one draw: 2 to this
 
 
@@ -30,12 +31,14 @@ class Surrogate:
     decoder: Callable[..., Any]
     believed: Population  # units in which the decoder knows psi
     episodes: Episodes  # one a recording, in the problem's order
+    log_volume: float = 0.0  # of a transition's units: densities are of changes in their own
 
     @classmethod
     def of(cls, problem: Problem, turn: Iteration, real: Transitions) -> "Surrogate":
         """Of the problem's own recorded transitions, under a turn's decoder."""
         x, y = turn.simulator.scaling.standard(real)
-        return cls(problem, turn.cvae.decoder, turn.believed, Episodes.of(turn.cvae, x, y, real.episode))
+        episodes = Episodes.of(turn.cvae, x, y, real.episode)
+        return cls(problem, turn.cvae.decoder, turn.believed, episodes, turn.simulator.scaling.log_volume)
 
     def terms(self, z: Float[Array, " size"]) -> Float[Array, " recordings"]:
         """log density of each recording."""
@@ -44,7 +47,7 @@ class Surrogate:
 
         def one(latent: Array, x: Array, y: Array, weight: Array) -> Array:
             mean, scale = jax.vmap(self.decoder, (0, None))(x, latent)
-            return (weight * normal(mean, scale).log_prob(y)).sum()
+            return (weight * (normal(mean, scale).log_prob(y) - self.log_volume)).sum()
 
         episodes = self.episodes
         return jax.vmap(one)(latent, episodes.x, episodes.y, episodes.weight)
@@ -52,7 +55,7 @@ class Surrogate:
     def draws(
         self, key: PRNGKeyArray, num_chains: int, num_draws: int
     ) -> tuple[Float[np.ndarray, "chain draw size"], dict[str, np.ndarray]]:
-        """Draws by NUTS from where the decoder's psi is centred, and its statistics."""
+        """Draws by NUTS from about where the decoder's psi is centred, and its statistics."""
         size = self.problem.size
 
         def model() -> None:
@@ -61,7 +64,6 @@ class Surrogate:
 
         kernel = NUTS(
             model,
-            init_strategy=init_to_value(values={"z": jnp.asarray(self._centre())}),
             max_tree_depth=MOST_DOUBLINGS,
             dense_mass=True,
         )
@@ -73,7 +75,9 @@ class Surrogate:
             chain_method="vectorized",
             progress_bar=False,
         )
-        chains.run(key, extra_fields=("potential_energy", "diverging", "accept_prob"))
+        first, go = jax.random.split(key)
+        starts = self._centre() + APART * jax.random.normal(first, (num_chains, size))
+        chains.run(go, init_params={"z": starts}, extra_fields=("potential_energy", "diverging"))
         extra = {name: np.asarray(v) for name, v in chains.get_extra_fields(group_by_chain=True).items()}
         return np.asarray(chains.get_samples(group_by_chain=True)["z"], float), extra
 

@@ -5,7 +5,7 @@ import jax
 from det2stoc_bayes.errors import MethodNotApplicable
 from det2stoc_bayes.inference._amortized import Options, baseline
 from det2stoc_bayes.inference._cvae import Schedule
-from det2stoc_bayes.inference._predictive import predictions
+from det2stoc_bayes.inference._predictive import heldout_transitions, predictions
 from det2stoc_bayes.inference._sampling import as_key, seed_of
 from det2stoc_bayes.posterior import DataTree, Progress, build_predictive, measured
 from det2stoc_bayes.problem import Problem
@@ -26,17 +26,16 @@ def fit(
         raise MethodNotApplicable("baseline_cvae predicts held-out recordings; allowed: a study with holdout")
     with measured(problem) as cost:
         transitions = StudyTransitions.of(problem)
+        real, heldout = transitions.recorded(), heldout_transitions(transitions)
         learn, judge = jax.random.split(key)
         options = Options(baseline=Schedule(num_steps, batch=256, learning_rate=2e-3))
         num_latents = max(len(problem.simulator.parameters), 1)
-        simulator, history = baseline(
-            transitions.recorded(), num_latents, learn, options, lambda _, done, total: progress(done, total)
-        )
+        simulator, _ = baseline(real, num_latents, learn, options, lambda _, done, total: progress(done, total))
         return build_predictive(
             problem,
-            predictions(simulator, transitions, judge, num_samples),
+            predictions(simulator, transitions, heldout, judge, num_samples),
             method="baseline_cvae",
-            options={"num_samples": num_samples, "num_steps": num_steps, "num_steps_used": history[-1][0]},
+            options={"num_samples": num_samples, "num_steps": num_steps},
             seed=seed_of(key),
             cost=cost,
         )

@@ -12,7 +12,7 @@ import numpy as np
 from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.inference._amortized import Iteration, Options, Population, iterate
 from det2stoc_bayes.inference._cvae import Schedule
-from det2stoc_bayes.inference._predictive import predictions
+from det2stoc_bayes.inference._predictive import heldout_transitions, predictions
 from det2stoc_bayes.inference._sampling import as_key, density_of, numpy_random, per_chain, seed_of
 from det2stoc_bayes.inference._surrogate import Surrogate
 from det2stoc_bayes.posterior import DataTree, Progress, build, measured, with_groups
@@ -50,7 +50,7 @@ def fit(
     with measured(problem) as cost:
         density = density_of(problem)
         transitions = StudyTransitions.of(density.problem)
-        real, stages = transitions.recorded(), num_iterations + 1
+        real, heldout, stages = transitions.recorded(), heldout_transitions(transitions), num_iterations + 1
         turns: list[Iteration] = []
         for turn in _turns(transitions, real, learn, num_iterations, num_simulated, num_steps):
             turns.append(turn)
@@ -71,7 +71,7 @@ def fit(
             sample_stats={"diverging": stats["diverging"], "log_weight": terms.sum(-1) - learned},
             log_likelihood=terms,
         )
-        told = predictions(turns[-1].predictive, transitions, judge)
+        told = predictions(turns[-1].predictive, transitions, heldout, judge)
     return with_groups(tree, turns=_told(density.problem, turns), predictions=told)
 
 

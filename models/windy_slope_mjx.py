@@ -1,5 +1,6 @@
 """Windy Slope for GPUs: the same scene in MJX, whose round post is a prism there (MJX has no box against cylinder)."""
 
+from collections.abc import Callable
 from functools import cache
 
 import jax
@@ -37,7 +38,8 @@ def simulate(
     models = [batch.get_model(i) for i in range(len(psi))]
     fields = {name: jnp.asarray(np.stack([getattr(m, name) for m in models])) for name in FIELDS}
     wind = jnp.asarray(np.stack([m.opt.wind for m in models]))
-    qpos, qvel = (np.asarray(a) for a in _rollouts(sides, num_steps)(fields, wind))
+    run = _rollouts(sides, num_steps, jax.config.jax_enable_x64)
+    qpos, qvel = (np.asarray(a) for a in run(fields, wind))
     out = np.empty((len(psi), num_steps + 1, 18))
     for k in range(num_steps + 1):
         write_state(qpos[:, k], qvel[:, k], out[:, k])
@@ -45,7 +47,8 @@ def simulate(
 
 
 @cache
-def _rollouts(sides: int, num_steps: int):
+def _rollouts(sides: int, num_steps: int, double: bool) -> Callable[..., tuple[jax.Array, jax.Array]]:
+    """qpos and qvel of episodes, compiled for a precision: arrays of the model are of it."""
     from mujoco import mjx
 
     plain = mjx.put_model(prism_model(sides))

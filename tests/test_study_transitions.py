@@ -63,6 +63,23 @@ def test_positions_alone_carry_the_step_before(tmp_path):
     np.testing.assert_array_equal(rows.change[first, 0], np.diff(values)[1:])
 
 
+def test_positions_at_uneven_times_carry_both_steps(tmp_path):
+    problem = spring(tmp_path, columns=["qpos/slide"], steps=np.cumsum(np.tile([7, 10, 13], 21)) - 7)
+    rows = StudyTransitions.of(problem).recorded()
+    time = problem.segments.recordings[0].time
+    first = rows.episode == 0
+    np.testing.assert_allclose(rows.action[first, 1], np.diff(time)[1:])
+    np.testing.assert_allclose(rows.action[first, 2], np.diff(time)[:-1])
+
+
+def test_what_cannot_be_simulated_alike_is_refused(tmp_path):
+    with pytest.raises(MethodNotApplicable, match="position is not recorded"):
+        StudyTransitions.of(spring(tmp_path / "speed", columns=["qvel/slide"]))
+    heavy = '[likelihood]\nnoise = "student_t"\n'
+    with pytest.raises(MethodNotApplicable, match="student_t"):
+        StudyTransitions.of(spring(tmp_path / "heavy", toml=heavy))
+
+
 def test_dropped_samples_and_uneven_times(tmp_path):
     problem = spring(tmp_path, steps=np.cumsum(np.tile([7, 10, 13], 21)) - 7)
     record = problem.segments.recordings[0]

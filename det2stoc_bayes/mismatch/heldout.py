@@ -126,6 +126,10 @@ def _scores(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> dict[
         return {r.name: _diverged(segments, r) for r in recordings}
     chi2, normalizer = _integrated(lin)
     predicted = _rollout(problem, posed)
+    if not np.isfinite(predicted).all():  # a start that its warm-up fits may still lead astray
+        if len(recordings) > 1:
+            return {name: s for r in recordings for name, s in _scores(fit, z, (r,)).items()}
+        return {r.name: _diverged(segments, r) for r in recordings}
     error = problem.residuals(predicted).reshape(segments.values.shape)
     counted, out = _counted(segments), {}
     error = np.where(counted, error, 0.0)

@@ -8,11 +8,11 @@ import numpy as np
 from det2stoc_bayes.inference._amortized import Options, Population, iterate
 from det2stoc_bayes.inference._cvae import Schedule
 from det2stoc_bayes.models import windy_slope
+from det2stoc_bayes.posterior import ALARM
 from det2stoc_bayes.reproduce.windy_slope_work import REAL_EPISODES, Work
 from det2stoc_bayes.transitions import Transitions
 
 PRIORS = {"psi_0": windy_slope.PRIOR, "psi_0 with wind from -1 to 1 m/s": windy_slope.CALM_PRIOR}
-ALARM = 0.5  # probability that the population's mean lies outside
 
 
 def alarms(work: Work) -> dict[str, Any]:

@@ -85,7 +85,15 @@ class Seed:
         steps = self.work.settings.decoder_steps if turn else self.work.settings.first_steps
         return self._iterate(psi, simulated, believed, turn, _decoding(steps))
 
-    def _iterate(self, psi, simulated: Transitions, believed: Population, turn: int, options: Options, decoder=None):
+    def _iterate(
+        self,
+        psi: Float[np.ndarray, "episodes 3"],
+        simulated: Transitions,
+        believed: Population,
+        turn: int,
+        options: Options,
+        decoder: Any = None,
+    ) -> Iteration:
         each, key = np.repeat(psi, windy_slope.NUM_STEPS, 0), jax.random.key(100 * self.number + turn)
         return iterate(self._real(turn), simulated, each, believed, key, options, self.work.progress, decoder)
 

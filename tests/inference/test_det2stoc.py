@@ -1,5 +1,8 @@
 """det2stoc on a study: its posterior against quadrature over the same transitions' densities, and what it returns."""
 
+from dataclasses import replace
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,11 +12,11 @@ from simulated import SPRING, SPRING_PSI, add_holdout, noise_table, pose, record
 
 from det2stoc_bayes.errors import MethodNotApplicable
 from det2stoc_bayes.inference import baseline_cvae, det2stoc
-from det2stoc_bayes.inference._amortized import Population
+from det2stoc_bayes.inference._amortized import Population, _split
 from det2stoc_bayes.inference._cvae import Cvae, standard_normal
 from det2stoc_bayes.inference._episodes import Episodes
 from det2stoc_bayes.inference._surrogate import Surrogate
-from det2stoc_bayes.posterior import load, save
+from det2stoc_bayes.posterior import beyond_prior, load, save
 from det2stoc_bayes.report.summary import predicted, summarize
 from det2stoc_bayes.study import load_study
 from det2stoc_bayes.study_transitions import StudyTransitions
@@ -68,11 +71,11 @@ def quadrature(problem):
 
 
 def test_posterior_is_that_of_the_transitions(problem, fitted):
-    """Measured: means off by 0.1 to 0.3 sds, sds by 2 to 10 %."""
+    """Measured: means off by 0.3 and 0.02 sds, sds by 2 %."""
     for (mean, sd), name in zip(quadrature(problem), ("damping", "stiffness"), strict=True):
         draws = fitted.posterior[name].values
-        assert abs(draws.mean() - mean) < 0.6 * sd
-        assert draws.std() == pytest.approx(sd, rel=0.3)
+        assert abs(draws.mean() - mean) < 0.5 * sd
+        assert draws.std() == pytest.approx(sd, rel=0.15)
 
 
 def test_the_latent_is_psi_in_the_units_believed(problem):
@@ -91,6 +94,28 @@ def test_the_latent_is_psi_in_the_units_believed(problem):
     latent = (problem.psi(z) - believed.loc) / believed.scale
     terms = -0.5 * (((y - x * latent) / 0.5) ** 2).sum(1) - 2 * np.log(0.5) - np.log(2 * np.pi)
     np.testing.assert_allclose(surrogate.terms(jnp.asarray(z)), np.bincount(owner, terms), rtol=1e-5)
+    raw = replace(surrogate, log_volume=2.0).terms(jnp.asarray(z))
+    np.testing.assert_allclose(raw, np.bincount(owner, terms - 2.0), rtol=1e-5)
+
+
+def test_each_recording_has_its_own_psi_where_it_varies(tmp_path):
+    toml = SPRING_PSI.replace("scale = 0.1 } }", 'scale = 0.1 } }\nvaries = "trajectory"', 1)
+    made = recordings(model_xml(SPRING), STARTS, 10 * np.arange(21), NOISE)
+    problem = pose(make_study(tmp_path / "spring", model_xml(SPRING), toml + noise_table(*NOISE), made))
+    problem = replace(problem, spreads=None)
+
+    def decoder(x, latent):
+        return latent, jnp.ones(2, jnp.float32)
+
+    y = np.zeros((3, 2), np.float32)
+    cvae = Cvae(decoder, decoder, standard_normal(2), True)
+    believed = Population(np.array([0.4, 30.0]), np.array([0.1, 3.0]))
+    episodes = Episodes.of(cvae, np.zeros((3, 1), np.float32), y, np.arange(3))
+    z = np.random.default_rng(0).standard_normal(problem.size)
+    latent = (problem.unknowns.by_recording(z) - believed.loc) / believed.scale
+    assert len(set(latent[:, 0])) == 3 and len(set(latent[:, 1])) == 1
+    terms = Surrogate(problem, decoder, believed, episodes).terms(jnp.asarray(z))
+    np.testing.assert_allclose(terms, -0.5 * (latent**2).sum(1) - np.log(2 * np.pi), rtol=1e-5)
 
 
 def test_what_is_returned(problem, fitted, tmp_path):
@@ -100,8 +125,11 @@ def test_what_is_returned(problem, fitted, tmp_path):
     assert turns.simulated_mean.dims == ("turn", "psi") and turns.sizes["turn"] == 2
     assert (turns.simulated_sd[1] < turns.simulated_sd[0]).all()
     assert (turns.outside < 0.05).all()
-    # Importance weights towards the exact likelihood: finite, and of moderate spread where transitions tell most.
+    assert (turns.alarm < 0.05).all() and not beyond_prior(fitted)
     assert np.isfinite(fitted.sample_stats.log_weight).all()
+    turns.alarm[-1] = 0.9
+    assert "with probability 0.9 psi lies beyond" in beyond_prior(fitted)
+    turns.alarm[-1] = 0.0
     told = predicted(fitted)
     assert [t.recording for t in told] == ["run_0", "run_1"] and told[0].num_transitions == 60
     save(fitted, tmp_path / "fit.nc")
@@ -109,21 +137,34 @@ def test_what_is_returned(problem, fitted, tmp_path):
 
 
 def test_held_out_transitions_are_told_as_well_as_they_can_be(problem, fitted):
-    """Beside N(F s, R + F R F') at the true psi; measured: 0.03 nat less."""
+    """Beside N(F s, R + F R F') at the true psi, over 120 transitions (a standard error of 0.09 nat)."""
     dt = 10 * problem.simulator.model.opt.timestep
     step = expm(np.array([[0.0, 1.0], [-30 / MASS, -0.4 / MASS]]) * dt)
     noise = np.diag(np.square(NOISE))
     covariance = noise + step @ noise @ step.T
     best = -0.5 * np.linalg.slogdet(2 * np.pi * np.e * covariance)[1]
-    assert np.mean([t.mixture for t in predicted(fitted)]) == pytest.approx(best, abs=0.35)
+    assert np.mean([t.mixture for t in predicted(fitted)]) == pytest.approx(best, abs=0.3)
 
 
-def test_baseline_learns_from_recordings_alone(fitted, baseline, tmp_path):
+def test_baseline_learns_from_recordings_alone(problem, fitted, baseline, tmp_path):
     assert "posterior" not in baseline.children and summarize(baseline) == []
     assert baseline.attrs["simulations"] == 0
-    assert np.mean([t.mixture for t in predicted(baseline)]) < np.mean([t.mixture for t in predicted(fitted)])
+    told = np.mean([t.mixture for t in predicted(baseline)])
+    assert told < np.mean([t.mixture for t in predicted(fitted)])
+    changes = StudyTransitions.of(problem).recorded(problem.simulator.study.holdout).change
+    assert told > -np.log(changes.std(0) * np.sqrt(2 * np.pi * np.e)).sum() + 1.0  # states tell their changes
     save(baseline, tmp_path / "fit.nc")
     assert load(tmp_path / "fit.nc").identical(baseline)
+
+
+def test_of_a_single_recording_the_end_is_held_back(problem):
+    rows = StudyTransitions.of(problem).recorded()
+    one = rows[rows.episode == 0]
+    (learned,), (judged,) = _split(jax.random.key(0), one, one.state)
+    np.testing.assert_allclose(learned, one.state[:48], rtol=1e-6)
+    np.testing.assert_allclose(judged, one.state[48:], rtol=1e-6)
+    (learned,), (judged,) = _split(jax.random.key(0), rows, rows.state)
+    assert len(learned) == 120 and len(judged) == 60  # a whole recording
 
 
 def test_baseline_needs_recordings_to_predict(gaussian_problem):
