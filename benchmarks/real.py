@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from concealed import revision
+
 LOG = Path(__file__).parent / "results" / "real.jsonl"
 STUDIES = Path(__file__).resolve().parents[2] / "shared" / "studies"
 KEPT = ("verdict", "summary", "effects", "candidates", "negligible", "evidence", "fit", "psi", "seconds")
@@ -29,7 +31,8 @@ def diagnosed(study: Path) -> dict[str, Any]:
         if run.returncode or not result.is_file():
             return {"study": study.name, "verdict": f"failed ({run.returncode})", "seconds": seconds}
         content = json.loads(result.read_text("utf-8"))
-        return {"study": study.name} | {key: content[key] for key in KEPT if key in content} | {"seconds": seconds}
+        about = {"commit": revision()[:7], "study": study.name}
+        return about | {key: content[key] for key in KEPT if key in content} | {"seconds": seconds}
 
 
 def ratio(line: Mapping[str, Any]) -> str:
