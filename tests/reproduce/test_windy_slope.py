@@ -2,13 +2,13 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from det2stoc_bayes import cli
+from det2stoc_bayes.inference._amortized import Iteration
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.models import windy_slope as scene
 from det2stoc_bayes.reproduce import windy_slope, windy_slope_models
@@ -160,7 +160,9 @@ def test_what_lies_beyond_the_source_s_model(done, monkeypatch):
 
     def iterate(real, simulated, psi, believed, key, options, progress, decoder):
         seen.append((len(real), len(simulated), options, decoder))
-        return SimpleNamespace(simulator=StochasticSimulator.load(work.saved(0, "det2stoc 1")))
+        made = object.__new__(Iteration)
+        object.__setattr__(made, "simulator", StochasticSimulator.load(work.saved(0, "det2stoc 1")))
+        return made
 
     monkeypatch.setattr(windy_slope_models, "iterate", iterate)
     monkeypatch.setattr(windy_slope_models, "transition_scores", lambda simulator, *_: {"is": simulator.rotations})
