@@ -5,8 +5,10 @@ UV_VERSION := 0.13.8
 BIN := .venv/bin
 READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
 
-.PHONY: help test lint format demo bench real stripped amortized clean
+.PHONY: help test lint format demo bench real stripped amortized tuning clean
 NAMES := pendulum_multiarm servo_xl330 ball_drops
+STUDIES ?= ../shared/studies
+BENCHMARKS := bad_input concealed sysid_silence transitions
 .DELETE_ON_ERROR:
 
 help:
@@ -18,6 +20,7 @@ help:
 	@echo "make real    diagnose real recordings: STUDIES=folder NAMES=\"one two\""
 	@echo "make stripped  the same without a documented piece of their models"
 	@echo "make amortized  det2stoc and a CVAE of recordings alone on them: held-out log densities"
+	@echo "make tuning  Windy Slope's models over the same grid of widths and learning rates"
 	@echo "make clean   remove .venv and caches; results in out/ stay"
 
 test: lint
@@ -37,16 +40,19 @@ demo: $(READY)
 
 bench: $(READY)
 	@UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --group bench --python $(BIN)/python
-	@for file in $(filter-out benchmarks/real.py benchmarks/stripped.py benchmarks/amortized.py benchmarks/coulomb_viscous.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python "$$file" || exit 1; done
+	@for file in $(BENCHMARKS:%=benchmarks/%.py); do echo "== $$file"; $(BIN)/python "$$file" || exit 1; done
 
 real: $(READY)
-	@$(BIN)/python benchmarks/real.py $(if $(STUDIES),--studies $(STUDIES)) $(NAMES)
+	@$(BIN)/python benchmarks/real.py --studies $(STUDIES) $(NAMES)
 
 stripped: $(READY)
-	@$(BIN)/python benchmarks/stripped.py $(if $(STUDIES),--studies $(STUDIES)) $(NAMES)
+	@$(BIN)/python benchmarks/stripped.py --studies $(STUDIES) $(NAMES)
 
 amortized: $(READY)
-	@$(BIN)/python benchmarks/amortized.py $(if $(STUDIES),--studies $(STUDIES))
+	@$(BIN)/python benchmarks/amortized.py --studies $(STUDIES)
+
+tuning: $(READY)
+	@$(BIN)/python benchmarks/tuning.py
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis build dist

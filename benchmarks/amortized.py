@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from concealed import revision
-from real import STUDIES
+from concealed import append, revision
+from real import studies
 
 LOG = Path(__file__).parent / "results" / "amortized.jsonl"
 METHODS = ("baseline_cvae", "det2stoc")
@@ -46,15 +46,13 @@ def main() -> int:
     """Each method on each study."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("names", nargs="*", default=["pendulum_multiarm", "servo_xl330"], help="studies with holdout")
-    parser.add_argument("--studies", type=Path, default=STUDIES, help="folder of studies")
+    parser.add_argument("--studies", type=Path, required=True, help="folder of studies")
     options = parser.parse_args()
-    LOG.parent.mkdir(exist_ok=True)
     print("| study | method | matched Gaussian | mixture of 1000 z | one z | seconds |\n|---|---|---|---|---|---|")
-    for name in options.names:
+    for study in studies(options.studies, options.names):
         for method in METHODS:
-            line = {"commit": revision()} | fitted(options.studies / name, method)
-            with LOG.open("a", encoding="utf-8") as log:
-                log.write(json.dumps(line) + "\n")
+            line = {"commit": revision()} | fitted(study, method)
+            append(LOG, line)
             print(row(line), flush=True)
     return 0
 

@@ -5,6 +5,7 @@ A summary of the run is printed as Markdown.
 """
 
 import argparse
+import contextlib
 import json
 import multiprocessing
 import os
@@ -103,15 +104,27 @@ def scored(line: Mapping[str, Any]) -> CaseScore:
     return score(line["answer"], line["diagnosis"])
 
 
+def logged(path: Path) -> list[dict[str, Any]]:
+    """The lines of a log; one that was cut off does not count."""
+    lines = []
+    for text in path.read_text("utf-8").splitlines() if path.is_file() else ():
+        with contextlib.suppress(json.JSONDecodeError):
+            lines.append(json.loads(text))
+    return lines
+
+
+def append(path: Path, line: Mapping[str, Any]) -> None:
+    """One more line of a log."""
+    path.parent.mkdir(exist_ok=True)
+    with path.open("a", encoding="utf-8") as log:
+        log.write(json.dumps(line) + "\n")
+
+
 def finished(seed: str, commit: str, choice: Choice) -> dict[tuple[str, int], dict[str, Any]]:
-    """Logged cases of this run, by kind and index; a line that was cut off does not count."""
+    """Logged cases of this run, by kind and index."""
     wanted = json.loads(json.dumps({"seed": seed, "commit": commit, "choice": asdict(choice)}))
     found: dict[tuple[str, int], dict[str, Any]] = {}
-    for text in LOG.read_text("utf-8").splitlines() if LOG.is_file() else ():
-        try:
-            line = json.loads(text)
-        except json.JSONDecodeError:
-            continue
+    for line in logged(LOG):
         if "kind" in line and all(line.get(key) == value for key, value in wanted.items()):
             found[line["kind"], line["index"]] = line
     return found
@@ -126,15 +139,13 @@ def run(seed: str, counts: Mapping[str, int], commit: str, jobs: int, choice: Ch
     """All cases that are not in the log yet; gives every case's row, in order."""
     done = finished(seed, commit, choice)
     wanted = [(kind, index) for kind in KINDS for index in range(counts[kind])]
-    LOG.parent.mkdir(exist_ok=True)
     with _workers(jobs) as pool:
         waiting = {key: pool.submit(one, seed, *key, commit, choice) for key in wanted if key not in done}
         try:
             for number, (key, future) in enumerate(waiting.items(), 1):
                 line = future.result()
                 done[key] = line
-                with LOG.open("a", encoding="utf-8") as log:
-                    log.write(json.dumps(line) + "\n")
+                append(LOG, line)
                 truth = " + ".join(label(e) for e in line["answer"]["effects"]) or "nothing"
                 print(f"{number}/{len(waiting)} {truth} -> {line['said']} ({line['seconds']:.0f} s)", file=sys.stderr)
         except BaseException:

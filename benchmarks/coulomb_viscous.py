@@ -11,8 +11,6 @@ import tempfile
 import warnings
 from pathlib import Path
 
-from real import STUDIES
-
 import det2stoc_bayes as d2s
 from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.mismatch.heldout import held_out
@@ -31,7 +29,7 @@ prior = {{ HalfNormal = {{ scale = {scale} }} }}
 def main() -> int:
     """The fit and its errors."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("study", nargs="?", type=Path, default=STUDIES / "servo_xl330")
+    parser.add_argument("study", type=Path, help="one whose joint has damping, as servo_xl330")
     parser.add_argument("--joint", default="hinge")
     parser.add_argument("--scale", type=float, default=0.1, help="of the friction's prior [N m]")
     options = parser.parse_args()

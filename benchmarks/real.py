@@ -9,14 +9,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from concealed import revision
+from concealed import append, revision
 
 LOG = Path(__file__).parent / "results" / "real.jsonl"
-STUDIES = Path(__file__).resolve().parents[2] / "shared" / "studies"
 KEPT = ("verdict", "summary", "effects", "candidates", "negligible", "evidence", "fit", "psi", "seconds")
 
 
@@ -35,6 +34,18 @@ def diagnosed(study: Path) -> dict[str, Any]:
         return about | {key: content[key] for key in KEPT if key in content} | {"seconds": seconds}
 
 
+def studies(folder: Path, names: Sequence[str]) -> list[Path]:
+    """Studies of a folder, all of them where none is named; ends the program where one is missing."""
+    found = {p.name: p for p in sorted(folder.glob("*")) if (p / "study.toml").is_file()}
+    missing = [name for name in names if name not in found]
+    if missing or not found:
+        there = ", ".join(found) or "none"
+        raise SystemExit(
+            f"{folder}: no study {' '.join(missing)}; there are: {there}; allowed: STUDIES=folder of studies"
+        )
+    return [found[name] for name in names or found]
+
+
 def ratio(line: Mapping[str, Any]) -> str:
     """Rollout error after over before, the worst column's."""
     before, after = (line.get("fit", {}).get(f"rollout_rmse_{w}", {}) for w in ("before", "after"))
@@ -46,19 +57,13 @@ def main() -> int:
     """Diagnose the studies of a folder."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("names", nargs="*", help="studies to run; all of them if none is named")
-    parser.add_argument("--studies", type=Path, default=STUDIES, help="folder of studies")
+    parser.add_argument("--studies", type=Path, required=True, help="folder of studies")
     options = parser.parse_args()
-    found = [p for p in sorted(options.studies.glob("*")) if (p / "study.toml").is_file()]
-    chosen = [p for p in found if not options.names or p.name in options.names]
-    if not chosen:
-        print(f"{options.studies}: no such study; there are: {', '.join(p.name for p in found)}", file=sys.stderr)
-        return 2
-    LOG.parent.mkdir(exist_ok=True)
+    chosen = studies(options.studies, options.names)
     print("| study | verdict | what is said | held-out error after / before | seconds |\n|---|---|---|---|---|")
     for study in chosen:
         line = diagnosed(study)
-        with LOG.open("a", encoding="utf-8") as log:
-            log.write(json.dumps(line) + "\n")
+        append(LOG, line)
         said = line.get("summary", "")
         print(f"| {line['study']} | {line['verdict']} | {said} | {ratio(line)} | {line['seconds']:.0f} |", flush=True)
     return 0

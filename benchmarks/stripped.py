@@ -5,7 +5,6 @@ own, and a table is printed as Markdown; results go to benchmarks/results/stripp
 """
 
 import argparse
-import json
 import re
 import shutil
 import sys
@@ -16,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-from real import STUDIES, diagnosed
+from concealed import append
+from real import diagnosed
 
 LOG = Path(__file__).parent / "results" / "stripped.jsonl"
 
@@ -81,14 +81,13 @@ def main() -> int:
     """Diagnose studies of a folder without a documented piece."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("names", nargs="*", help=f"studies to run, of {', '.join(PIECES)}; all if none is named")
-    parser.add_argument("--studies", type=Path, default=STUDIES, help="folder of studies")
+    parser.add_argument("--studies", type=Path, required=True, help="folder of studies")
     options = parser.parse_args()
     chosen, missed = options.names or list(PIECES), 0
     absent = [n for n in chosen if n not in PIECES or not (options.studies / n / "study.toml").is_file()]
     if absent:
         print(f"{options.studies}: no such study: {', '.join(absent)}; allowed: {', '.join(PIECES)}", file=sys.stderr)
         return 2
-    LOG.parent.mkdir(exist_ok=True)
     print("| study | taken out | found | what is said | seconds |\n|---|---|---|---|---|")
     for name in chosen:
         piece = PIECES[name]
@@ -96,8 +95,7 @@ def main() -> int:
             line = diagnosed(strip(options.studies / name, piece, Path(folder) / "study"))
         line |= {"study": name, "piece": piece.says, "found": found(line, piece)}
         missed += not line["found"]
-        with LOG.open("a", encoding="utf-8") as log:
-            log.write(json.dumps(line) + "\n")
+        append(LOG, line)
         yes = "yes" if line["found"] else "no"
         said = line.get("summary", line["verdict"])
         print(f"| {name} | {piece.says} | {yes} | {said} | {line['seconds']:.0f} |", flush=True)

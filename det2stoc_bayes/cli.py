@@ -3,6 +3,7 @@
 Exit codes: 0 done; 1 something unforeseen; 2 an error that the user can act on; 130 interrupted.
 """
 
+import io
 import json
 import logging
 import signal
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.files import check_folder
 
 if TYPE_CHECKING:
     # Dotted names, so that the checker of the tests can look them up.
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     import det2stoc_bayes.progress
     import det2stoc_bayes.study
 
+MOST_DRAWS = 10_000_000
 PLAIN_WIDTH = 200  # columns of a table in a pipe or file
 
 app = typer.Typer(
@@ -45,6 +48,10 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an u
 
 def main() -> None:
     """Run the command line."""
+    sys.stdout = sys.stdout or io.StringIO()  # closed by the caller
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names that the terminal's encoding lacks
     app(prog_name="det2stoc")
 
 
@@ -64,14 +71,14 @@ def fit(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where fit.nc goes.", show_default=False)],
     method: Annotated[str, typer.Option(metavar="NAME", help="An inference method.")] = "nuts",
     engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
-    num_samples: Annotated[int, typer.Option(min=1, help="Draws in all.")] = 1000,
+    num_samples: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="Draws in all.")] = 1000,
     seed: Seed = 0,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Draw from the posterior of a study's psi."""
     with _reporting(debug) as stages:
-        _check_folder(out)
+        check_folder(out)
         from det2stoc_bayes import posterior, tables, verbs
         from det2stoc_bayes.inference import get_method
         from det2stoc_bayes.recording import StudyWarning
@@ -83,9 +90,10 @@ def fit(
         tree = verbs.fit(believed, method, **options)
         rows, told, path = summarize(tree), predicted(tree), out / "fit.nc"
         posterior.save(tree, path)
-        for doubt in filter(None, (posterior.misfit(tree), posterior.beyond_prior(tree))):
+        for doubt in filter(None, (posterior.misfit(tree), posterior.beyond_prior(tree), posterior.unreliable(tree))):
             warnings.warn(doubt, StudyWarning, stacklevel=1)
-    title = f"{believed.name}, {method}: {num_samples} draws in {path}"
+    count = posterior.num_draws(tree)
+    title = f"{believed.name}, {method}: {f'{count} draws' if count else 'predictions'} in {path}"
     shown = tables.fit_json(rows, told, tree.attrs, str(path)) if as_json else tables.fit_tables(rows, told, title)
     _show(shown, as_json)
 
@@ -101,7 +109,7 @@ def diagnose(
 ) -> None:
     """Find and model what the simulator leaves out."""
     with _reporting(debug) as stages:
-        _check_folder(out)
+        check_folder(out)
         from det2stoc_bayes import tables, verbs
 
         diagnosis = verbs.diagnose(_load(study), seed=seed, exact=exact, progress=stages)
@@ -128,7 +136,7 @@ def reproduce(
         from det2stoc_bayes.reproduce import get_experiment
 
         module = get_experiment(experiment)
-        _check_folder(out)
+        check_folder(out)
         result = module.run(out, seed=seed, quick=quick, progress=stages)
         atomic_write(out / "results.json", json.dumps(result))
         atomic_write(out / "report.html", module.page(result))
@@ -140,7 +148,7 @@ def export(
     study: StudyFolder,
     posterior_file: Annotated[Path, typer.Argument(metavar="FIT", help="fit.nc of this study.", show_default=False)],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the draws go.", show_default=False)],
-    draws: Annotated[int, typer.Option(min=1, help="How many.")] = 100,
+    draws: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="How many.")] = 100,
     models: Annotated[bool, typer.Option("--models/--no-models", help="An MJCF a draw, beside the table.")] = True,
     seed: Seed = 0,
     as_json: Json = False,
@@ -148,7 +156,7 @@ def export(
 ) -> None:
     """Write a posterior as a domain-randomization set: psi.csv, and an MJCF a draw."""
     with _reporting(debug) as stages:
-        _check_folder(out)
+        check_folder(out)
         from det2stoc_bayes import posterior, randomization
 
         def told(done: int, total: int) -> None:
@@ -176,15 +184,6 @@ def _load(folder: Path) -> "det2stoc_bayes.study.Study":
     return load_study(folder)
 
 
-def _check_folder(out: Path) -> None:
-    """A folder for results that cannot be one is an error before the work, not after it."""
-    for path in (out, *out.parents):
-        if path.exists():
-            if not path.is_dir():
-                raise Det2StocError(f"--out {out}: {path} is a file; allowed: a folder, or a new name")
-            return
-
-
 @contextmanager
 def _reporting(debug: bool) -> Iterator["det2stoc_bayes.progress.Stages"]:
     """Progress for the work inside; its warnings and errors as lines on stderr, its errors as exit codes."""
@@ -205,6 +204,10 @@ def _reporting(debug: bool) -> Iterator["det2stoc_bayes.progress.Stages"]:
             raise _exit(console, f"error: {error}", 2) from error
         if debug:
             raise
+        if isinstance(error, OSError) and error.filename is not None:
+            raise _exit(console, f"error: {error.filename}: {error.strerror}", 2) from error
+        if isinstance(error, MemoryError):
+            raise _exit(console, f"error: not enough memory ({error}); allowed: fewer draws", 2) from error
         reason = " ".join(str(error).split())
         what = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
         raise _exit(console, f"unforeseen error: {what} (--debug shows where)", 1) from error
@@ -257,6 +260,18 @@ def _warnings_on(console: "rich.console.Console") -> Iterator[None]:
 
 def _show(result: "rich.console.RenderableType | dict[str, Any] | list[Any]", as_json: bool) -> None:
     """To stdout: JSON with null for what is not a number, or tables, in colour on a terminal alone."""
+    try:
+        _print(result, as_json)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        from rich.console import Console
+
+        raise _exit(Console(stderr=True), f"error: stdout: {error.strerror}", 2) from error
+
+
+def _print(result: "rich.console.RenderableType | dict[str, Any] | list[Any]", as_json: bool) -> None:
     if as_json:
         from det2stoc_bayes.mismatch.finding import plain
 

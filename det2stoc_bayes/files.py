@@ -2,9 +2,12 @@
 
 import os
 import secrets
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from det2stoc_bayes.errors import Det2StocError
 
 
 @contextmanager
@@ -15,13 +18,40 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     and the temporary one is gone. The suffix is kept, since some writers look at it.
     """
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{secrets.token_hex(6)}.{target.name}")
     try:
+        target.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         os.replace(temporary, target)
+    except OSError as error:
+        raise unwritable(target, error) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def check_folder(out: Path) -> None:
+    """A folder for results that cannot be one is a Det2StocError before the work, not after it."""
+    new = [path for path in (out, *out.parents) if not path.exists()]
+    there = (out, *out.parents)[len(new)]  # the root exists, and the working folder
+    if not there.is_dir():
+        raise Det2StocError(f"--out {out}: {there} is a file; allowed: a folder, or a new name")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
+    except OSError as error:
+        raise unwritable(out, error) from error
+    finally:
+        with suppress(OSError):
+            for path in new:
+                path.rmdir()
+
+
+def unwritable(path: Path, error: OSError) -> Det2StocError:
+    """That a file or folder cannot be written, and why."""
+    reason = error.strerror or " ".join(str(error).split())
+    return Det2StocError(f"{path}: cannot be written ({reason}); allowed: a place with room and the right to write")
 
 
 def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:

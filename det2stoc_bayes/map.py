@@ -21,7 +21,10 @@ ENOUGH = 1e-4  # nats that another Newton step may gain
 def find_map(problem: Problem, *, max_iterations: int = 20) -> Fit:
     """The MAP at the declared noise, led there by short segments with a widened noise first."""
     if problem.size == 0:
-        raise MethodNotApplicable("the problem has no unknowns; allowed: one psi or effect at least")
+        raise MethodNotApplicable(
+            f"{problem.simulator.study.folder}: study.toml declares no psi, so that nothing is unknown; "
+            "allowed: one [psi.NAME] at least"
+        )
     segments, z = problem.segments, None
     for horizon in HORIZONS:
         if 2 * horizon > segments.time.shape[1]:

@@ -19,9 +19,10 @@ from xarray import DataTree as DataTree  # what every method returns; only here 
 
 from det2stoc_bayes.density import Density, log_prior
 from det2stoc_bayes.errors import Det2StocError
-from det2stoc_bayes.files import replacing
+from det2stoc_bayes.files import atomic_write
 from det2stoc_bayes.mismatch.evidence import CHANCE, MODEL_ERROR
 from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.psis import reliable, smooth
 
 PACKAGES = (
     "det2stoc-bayes",
@@ -170,12 +171,34 @@ def beyond_prior(tree: xr.DataTree) -> str:
     """That psi's truth lies beyond what an amortized method simulated, in a sentence; empty where it does not."""
     if "turns" not in tree.children:
         return ""
-    alarm = float(tree["turns"].to_dataset()["alarm"].values[-1])
-    if not alarm > ALARM:
+    first, *_, last = (float(p) for p in tree["turns"].to_dataset()["alarm"].values[[0, -1]])
+    if first > ALARM:
+        return (
+            f"with probability {first:.2g} psi lies beyond all that was simulated under its prior: the prior excludes "
+            "it, or the model cannot move as the recordings do"
+        )
+    if last > ALARM:
+        return (
+            f"with probability {last:.2g} psi lies beyond all that the last decoder learned from: the turns have not "
+            "come to rest; more of them (num_iterations), or more simulations, may"
+        )
+    return ""
+
+
+def unreliable(tree: xr.DataTree) -> str:
+    """That draws are not those of the exact posterior, by their importance weights; empty where they are, or have none.
+
+    k-hat: Vehtari et al., Pareto smoothed importance sampling (2024).
+    """
+    if "sample_stats" not in tree.children or "log_weight" not in tree["sample_stats"]:
+        return ""
+    weights = np.asarray(tree["sample_stats"]["log_weight"].values, float).ravel()
+    k_hat, most = smooth(weights)[1], reliable(len(weights))
+    if k_hat < most:
         return ""
     return (
-        f"with probability {alarm:.2g} psi lies beyond all that was simulated to learn from: its prior excludes it, "
-        "or the model cannot move as the recordings do"
+        f"importance weights of the draws by the exact likelihood have a k-hat of {k_hat:.2g} (reliable below "
+        f"{most:.2g}): the draws are not those of the exact posterior; nuts, smc or emcee sample it"
     )
 
 
@@ -235,8 +258,18 @@ def versions() -> dict[str, str]:
 
 def save(tree: xr.DataTree, path: str | os.PathLike[str]) -> None:
     """Write a DataTree, whole or not at all."""
-    with replacing(path) as temporary:
-        tree.to_netcdf(temporary, engine="h5netcdf")
+    atomic_write(path, to_bytes(tree))
+
+
+def to_bytes(tree: xr.DataTree) -> bytes:
+    """A DataTree as a netCDF file's content: HDF5 that cannot finish a file takes the process with it."""
+    content = tree.to_netcdf(None, engine="h5netcdf")
+    return bytes(content)
+
+
+def num_draws(tree: xr.DataTree) -> int:
+    """Draws of all chains; 0 of a method that infers no psi."""
+    return int(np.prod([tree["posterior"].sizes[d] for d in ("chain", "draw")])) if "posterior" in tree.children else 0
 
 
 def load(path: str | os.PathLike[str]) -> xr.DataTree:

@@ -14,6 +14,8 @@ from det2stoc_bayes import quantiles
 from det2stoc_bayes.errors import StudyError
 from det2stoc_bayes.suggestions import choices
 
+LARGEST = 1e30  # of values within WITHIN sds: beyond it products overflow
+WITHIN = 6.0
 REQUIRED, OPTIONAL = math.nan, None  # an argument that must be given, and one that may be absent
 
 
@@ -116,7 +118,20 @@ class Prior:
         where = f"{where}.{family}"
         if not isinstance(given, Mapping):
             raise StudyError(f"{where}: found {given!r}; allowed: a table of {', '.join(FAMILIES[family].defaults)}")
-        return cls(family, _arguments(family, given, where))
+        prior = cls(family, _arguments(family, given, where))
+        prior._refuse_extremes(where)
+        return prior
+
+    def _refuse_extremes(self, where: str) -> None:
+        """A prior whose values leave the range of numbers would give results that are none."""
+        try:
+            with np.errstate(all="ignore"):
+                values = np.asarray(self.from_normal(np.array([-WITHIN, 0.0, WITHIN])), float)
+        except (ArithmeticError, IndexError, ValueError):
+            values = np.array([np.nan])
+        if not (np.isfinite(values).all() and np.abs(values).max() < LARGEST):
+            told = ", ".join(f"{name} = {value:g}" for name, value in self.arguments.items())
+            raise StudyError(f"{where}: found {told}: values beyond {LARGEST:g}; allowed: a prior of moderate values")
 
     @property
     def distribution(self) -> Any:
@@ -175,14 +190,20 @@ def _frozen(family: str, arguments: tuple[tuple[str, float], ...]) -> Any:
     return getattr(stats, entry.scipy)(**entry.to_scipy(dict(arguments)))
 
 
+def _finite(value: int | float) -> bool:
+    return isinstance(value, int) or math.isfinite(value)
+
+
 def _arguments(family: str, given: Mapping[str, Any], where: str) -> dict[str, float]:
     """The checked arguments, NumPyro's defaults filled in."""
     entry = FAMILIES[family]
     for name, value in given.items():
         if name not in entry.defaults:
             raise StudyError(f"{where}.{name}: unknown argument; {choices(name, entry.defaults)}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not _finite(value):
             raise StudyError(f"{where}.{name}: found {value!r}; allowed: a finite number")
+        if abs(value) > LARGEST:
+            raise StudyError(f"{where}.{name}: found {str(value)[:20]}; allowed: at most {LARGEST:g} in size")
         if name in entry.positive and value <= 0:
             raise StudyError(f"{where}.{name}: found {value!r}; allowed: a number above 0")
     merged = {name: given.get(name, default) for name, default in entry.defaults.items()}

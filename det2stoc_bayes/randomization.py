@@ -31,6 +31,9 @@ def draw_psi(
             f"the fit by {tree.attrs.get('method')} infers no psi; allowed: a posterior, as laplace gives"
         )
     posterior = tree["posterior"].to_dataset()
+    if not study.parameters or not {"chain", "draw"} <= set(posterior.sizes):
+        lacks = "study.toml declares no psi" if not study.parameters else "the posterior has no draws"
+        raise Det2StocError(f"{study.folder}: {lacks}; allowed: a study with psi, and a fit of it by det2stoc")
     total = posterior.sizes["chain"] * posterior.sizes["draw"]
     rows = random.choice(total, num_draws, replace=num_draws > total)
 
@@ -38,7 +41,15 @@ def draw_psi(
         if name not in posterior:
             found = ", ".join(map(str, posterior.data_vars))
             raise Det2StocError(f"the posterior has no psi '{name}', which study.toml declares; it has {found}")
-        return np.asarray(posterior[name].values, float).reshape(total, -1)[rows, 0]
+        if set(posterior[name].dims) != {"chain", "draw"}:
+            raise Det2StocError(
+                f"psi '{name}' of the posterior varies by recording, in study.toml it does not; "
+                "allowed: a fit of this study"
+            )
+        values = np.asarray(posterior[name].values, float).reshape(total)[rows]
+        if not np.isfinite(values).all():
+            raise Det2StocError(f"psi '{name}' of the posterior has draws that are not finite; allowed: finite numbers")
+        return values
 
     columns = []
     for p in study.parameters:
@@ -88,6 +99,9 @@ def export(
     writer.writerow(["model", *names] if models else names)
     for name, row in zip(files, psi, strict=True):
         writer.writerow([*([name] if models else []), *(repr(float(v)) for v in row)])
+    (folder / TABLE).unlink(missing_ok=True)  # of an earlier export, whose models go
+    for path in {*folder.glob("model_*.xml")} - set(texts):
+        path.unlink()
     for path, content in texts.items():
         atomic_write(path, content)
     atomic_write(folder / TABLE, text.getvalue())  # last: where it is, all is

@@ -21,6 +21,7 @@ MOST_NORM_ERROR = 0.05  # of a quaternion: noise is normalised away, more is a g
 GLITCH_NORMS = (0.5, 2.0)  # between which single samples are glitches
 MOST_GLITCHES = 0.02  # of the samples
 LARGEST = 1e12  # of a number, in SI units
+LARGEST_COMMAND = 1e10  # MuJoCo takes a larger one for a broken simulation
 MOST_BYTES = 1_000_000_000  # of a file: its numbers are held in memory at once
 BEYOND = 0.05  # of a joint's range: what soft limits and noise may exceed it by
 LEAST_SUSPECT_SPAN = 50.0  # rad, eight turns: more may be degrees
@@ -68,10 +69,11 @@ def read_recording(path: Path, names: ModelNames) -> Recording:
     for column in table.header:
         if np.isnan(table.column(column)).all():
             raise table.fail(f"column {column}: found no value at all; allowed: numbers (leave the column out)")
-        huge = np.flatnonzero(np.abs(table.column(column)) > LARGEST) if column != "time" else []
+        largest = LARGEST_COMMAND if column.startswith("ctrl/") else LARGEST
+        huge = np.flatnonzero(np.abs(table.column(column)) > largest) if column != "time" else []
         if len(huge):
             value = float(table.column(column)[huge[0]])
-            raise table.fail(f"column {column}: found {value!r}; allowed: at most {LARGEST:g} in size", int(huge[0]))
+            raise table.fail(f"column {column}: found {value!r}; allowed: at most {largest:g} in size", int(huge[0]))
     columns = tuple(c for c in table.header if c in names.columns)
     values = np.stack([table.column(c) for c in columns], axis=1)
     _unwrap(label, columns, values, names)

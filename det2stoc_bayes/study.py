@@ -3,7 +3,7 @@
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -104,14 +104,36 @@ def load_study(folder: Path) -> Study:
         warnings.warn(f"{source}: holdout: no file matches '{content.holdout}'", StudyWarning, stacklevel=2)
     check_stems(files, held_out, content.known, source)
     recordings = tuple(read_recording(path, names) for path in files)
-    holdout = tuple(read_recording(path, names) for path in held_out)
+    holdout = _apart(tuple(read_recording(path, names) for path in held_out), {r.name for r in recordings})
     check_clocks((*recordings, *holdout), model.opt.timestep)
+    _warn_of_copies((*recordings, *holdout), len(recordings))
     _warn_of_controls((*recordings, *holdout), names)
     noise = _noise(content.noise, [c for r in (*recordings, *holdout) for c in r.columns], names, source)
     known = {stem: _known(values, model, names, f"{source}: known.{stem}") for stem, values in content.known.items()}
     measurement = _measurement(content.likelihood, source)
     name = folder.resolve().name
     return Study(folder, name, model_path, parameters, noise, known, recordings, holdout, names, measurement)
+
+
+def _apart(holdout: tuple[Recording, ...], fitted: set[str]) -> tuple[Recording, ...]:
+    """Held-out recordings under names that no fitted one has: results go by names."""
+    own, out = {r.name for r in holdout}, []
+    for r in holdout:
+        name = r.name
+        while name in fitted or (name != r.name and name in own):
+            name = f"holdout_{name}"
+        out.append(r if name == r.name else replace(r, name=name))
+    return tuple(out)
+
+
+def _warn_of_copies(recordings: Sequence[Recording], num_fitted: int) -> None:
+    seen: dict[bytes, str] = {}
+    for i, r in enumerate(recordings):
+        first = seen.setdefault(r.time.tobytes() + r.values.tobytes(), r.name)
+        if first != r.name:
+            why = "counts twice" if i < num_fitted else "is no proof of anything"
+            message = f"{r.name}: the same samples as {first}: a recording that is fitted and given again {why}"
+            warnings.warn(message, StudyWarning, stacklevel=3)
 
 
 def _resolved(text: str, model: "mujoco.MjModel", names: ModelNames, where: str) -> tuple[Target, tuple[int, ...]]:
@@ -265,6 +287,8 @@ def _known(
         if value.shape != shape and not (shape == () and value.shape == (1,)):
             allowed = f"a list of {shape[0]} numbers" if shape else "one number"
             raise StudyError(f"{key}: found {given}; allowed: {allowed}")
+        if target.field in NOT_NEGATIVE and (value < 0).any():
+            raise StudyError(f"{key}: found {given}; allowed: 0 or more, since {target} is never negative")
         value = value.reshape(shape)
         value.setflags(write=False)
         known[target] = value

@@ -94,7 +94,7 @@ def find_files(folder: Path, pattern: str, where: str) -> list[Path]:
         raise StudyError(f"{where}: found '{pattern}'; allowed: files within the study's folder, as data/*.csv")
     try:
         found = sorted(folder.glob(pattern))
-    except ValueError as error:
+    except (ValueError, IndexError, AttributeError) as error:  # the latter two of pathlib at "." and "./"
         raise StudyError(f"{where}: found '{pattern}': {error}; allowed: a pattern, as data/*.csv") from error
     return [inside(folder, str(path.relative_to(folder)), where) for path in found]
 

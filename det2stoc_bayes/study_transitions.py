@@ -13,17 +13,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from det2stoc_bayes.engines.base import Request
-from det2stoc_bayes.errors import MethodNotApplicable
+from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged
 from det2stoc_bayes.likelihood import align_quaternions
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.recording import Recording
 from det2stoc_bayes.segments import Segments, from_pieces, mean_commands
-from det2stoc_bayes.starts import guess_starts
+from det2stoc_bayes.starts import StartGuess, guess_starts
 from det2stoc_bayes.transitions import Transitions
 
 NUM_TRANSITIONS = 100  # of a recording of median length
 STRETCH = 10  # transitions that one simulation gives
 FEWEST = 5  # transitions of the shortest recording
+LEAST_WHOLE = 0.9  # of simulations: what is learned is learned from those that do not diverge
 START_SPREAD = 0.2  # of a coordinate's variation: simulations start about recorded states
 EVEN = 1e-6  # of a time step: less is rounding
 
@@ -83,10 +84,18 @@ class StudyTransitions:
         """The recordings cut where simulations start."""
         return self._cut(self.problem.segments.recordings, STRETCH)
 
+    @cached_property
+    def starts(self) -> StartGuess:
+        """Where the stretches begin."""
+        return guess_starts(self.problem.simulator.model, self.stretches)
+
     def simulated(self, psi: Float[np.ndarray, "sims psi"], random: np.random.Generator) -> Transitions:
-        """Transitions under the given psi, measurement noise included; simulations start where recordings were."""
-        problem, segments = self.problem, self.stretches
-        simulator, guess = problem.simulator, guess_starts(problem.simulator.model, segments)
+        """Transitions under the given psi, measurement noise included; simulations start where recordings were.
+
+        SimulationDiverged: too many of them do not stay finite.
+        """
+        problem, segments, guess = self.problem, self.stretches, self.starts
+        simulator = problem.simulator
         which = np.resize(random.permutation(segments.count), len(psi))
         states = guess.scale.shape[0]
         scatter = START_SPREAD * guess.scale * random.standard_normal((len(psi), states))
@@ -94,6 +103,17 @@ class StudyTransitions:
         names = [segments.recordings[segments.recording[w]].name for w in which]
         fields = simulator.fields(psi, names)
         predicted = simulator.rollout(Request(segments, which, start, fields, (), problem.timestep, problem.integrator))
+        whole = np.isfinite(predicted).all((1, 2))
+        if whole.mean() < LEAST_WHOLE:
+            bad = psi[~whole]
+            ranges = ", ".join(
+                f"{p.name} {low:.3g} to {high:.3g}"
+                for p, low, high in zip(simulator.parameters, bad.min(0), bad.max(0), strict=True)
+            )
+            raise SimulationDiverged(
+                f"{(~whole).mean():.0%} of the simulations to learn from diverge (there: {ranges}); "
+                f"allowed: at most {1 - LEAST_WHOLE:.0%}, by narrower priors or a finer timestep"
+            )
         recorded = predicted + problem.noise * random.standard_normal(predicted.shape)
         recorded = align_quaternions(recorded, segments.values[which], problem.quaternions)
         for group in problem.quaternions:  # those that were read have unit length
@@ -163,7 +183,7 @@ def _refuse(problem: Problem) -> None:
     allowed = "allowed: a method that simulates whole recordings, as nuts or laplace"
     if simulator.model.na:
         raise MethodNotApplicable(f"the model's actuators have states, which no sample tells; {allowed}")
-    if not guess_starts(simulator.model, problem.segments).seen.all():
+    if not problem.guess.seen.all():
         raise MethodNotApplicable(f"some joint's position is not recorded; {allowed}")
     if problem.measurement.degrees_of_freedom is not None:
         raise MethodNotApplicable(f"noise is student_t, and learned likelihoods are Gaussian; {allowed}")

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
+from jaxtyping import Bool, Float, PRNGKeyArray
 
 from det2stoc_bayes.inference._cvae import Cvae, HybridELBO, Schedule, normal, optimize, standard_normal
 from det2stoc_bayes.inference._episodes import Episodes, population_draws
@@ -46,6 +46,11 @@ class Options:
     encoder: Schedule = Schedule(num_steps=2_000, batch=256, learning_rate=1e-3)
     baseline: Schedule = Schedule(num_steps=8_000, batch=256, learning_rate=2e-3)
 
+    @classmethod
+    def decoding(cls, num_steps: int) -> "Options":
+        """The defaults with another number of steps for the decoder."""
+        return cls(decoder=replace(cls.decoder, num_steps=num_steps))
+
 
 @dataclass(frozen=True, eq=False)
 class Population:
@@ -53,6 +58,11 @@ class Population:
 
     loc: Float[np.ndarray, " psi"]
     scale: Float[np.ndarray, " psi"]
+
+    @classmethod
+    def of(cls, draws: Float[np.ndarray, "rows psi"]) -> "Population":
+        """With the draws' means and sds."""
+        return cls(draws.mean(0), draws.std(0))
 
     def standard(self, psi: Float[np.ndarray, "*rows psi"]) -> Float[np.ndarray, "*rows psi"]:
         """psi in the measure that the latent has."""
@@ -79,7 +89,7 @@ class Iteration:
     @property
     def pooled(self) -> Population:
         """Of q's samples over all transitions: the source's figure."""
-        return Population(self.pooled_draws.mean(0), self.pooled_draws.std(0))
+        return Population.of(self.pooled_draws)
 
     @property
     def next_population(self) -> Population:
@@ -178,8 +188,12 @@ def iterate(
     options: Options = Options(),
     progress: Progress = lambda *_: None,
     decoder: Decoder | None = None,
+    varies: Bool[np.ndarray, " psi"] | None = None,
 ) -> Iteration:
-    """One turn of the algorithm; `psi` are those of the simulated rows, `decoder` one that learned from them before."""
+    """One turn of the algorithm; `psi` are those of the simulated rows, `decoder` one that learned from them before.
+
+    `varies`: which psi differ between episodes (None: all of them); of the others the population's sd is 0.
+    """
     keys = jax.random.split(key, 4)
     scaling, learned = Scaling.of(simulated), ()
     if decoder is None:
@@ -192,7 +206,7 @@ def iterate(
     loc, sd, own = believed.loc, believed.scale, slice(len(believed.loc))
     means, covariances = Episodes.of(cvae, x, y, real.episode).posteriors()
     means, covariances = means[:, own], covariances[:, own, own]
-    centre, spread = population_draws(means, covariances, keys[3], NUM_DRAWS)
+    centre, spread = population_draws(means, covariances, keys[3], NUM_DRAWS, varies)
     learned_prior = cvae.prior if isinstance(cvae.prior, LatentMixture) else None
     return Iteration(
         cvae,

@@ -11,6 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import numpyro
 import numpyro.distributions as dist
 import optax
@@ -19,6 +20,7 @@ from numpyro.contrib.module import eqx_module
 from numpyro.handlers import seed, substitute, trace
 from numpyro.infer import SVI, Trace_ELBO
 
+from det2stoc_bayes.errors import SamplingFailed
 from det2stoc_bayes.inference._latent import LatentMixture
 
 Batch = Float[Array, "_ _"]
@@ -147,4 +149,9 @@ def optimize(
             since += 1
             if since >= schedule.patience:
                 break
+    if not np.isfinite(best):
+        raise SamplingFailed(
+            f"training came to no finite loss in {len(history)} checks ({history[-1][0]} steps, last loss "
+            f"{history[-1][2]:g}); allowed: data of moderate size, or a lower learning rate"
+        )
     return params, history

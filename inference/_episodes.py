@@ -1,4 +1,7 @@
-"""What a learned decoder says of whole episodes: each one's psi, and the population that they come from."""
+"""What a learned decoder says of whole episodes: each one's psi, and the population that they come from.
+
+An episode's z has the reference prior N(0, I), which a population takes out again: it must not count once an episode.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from numpyro.infer import MCMC, NUTS
 
 from det2stoc_bayes.inference._cvae import Cvae, normal
@@ -77,18 +80,21 @@ def log_joint(
 def _fisher(decoder: Callable[..., Any], z: Array, x: Array, weight: Array) -> Float[Array, "z z"]:
     """Expected information about an episode's z, the prior's included."""
 
-    def natural(z: Array) -> tuple[Array, Array, Array]:
-        mean, scale = jax.vmap(decoder, (0, None))(x, z)
-        return mean, jnp.log(scale) if scale.ndim == mean.ndim else scale, scale
+    def moments(z: Array) -> tuple[Array, Array]:
+        return jax.vmap(decoder, (0, None))(x, z)
 
-    _, _, scale = natural(z)
-    slope, widening, _ = jax.jacfwd(natural)(z)
+    _, scale = moments(z)
+    slope, widening = jax.jacfwd(moments)(z)
     if scale.ndim == 2:
-        white = slope / scale[..., None]
+        white, relative = slope / scale[..., None], widening / scale[..., None]
+        spread = 2 * jnp.einsum("t,tyi,tyj->ij", weight, relative, relative)
     else:
-        white, widening = jax.scipy.linalg.solve_triangular(scale, slope, lower=True), jnp.zeros_like(slope)
-    total = jnp.einsum("t,tyi,tyj->ij", weight, white, white)
-    return total + 2 * jnp.einsum("t,tyi,tyj->ij", weight, widening, widening) + jnp.eye(len(z))
+        white = jax.scipy.linalg.solve_triangular(scale, slope, lower=True)
+        # tr(S^-1 dS S^-1 dS) / 2 of a covariance S = L L': its square root's change, seen from L
+        root = jax.scipy.linalg.solve_triangular(scale[..., None, :, :], jnp.moveaxis(widening, -1, 1), lower=True)
+        change = root + jnp.swapaxes(root, -1, -2)
+        spread = 0.5 * jnp.einsum("t,tiab,tjab->ij", weight, change, change)
+    return jnp.einsum("t,tyi,tyj->ij", weight, white, white) + spread + jnp.eye(len(z))
 
 
 @eqx.filter_jit
@@ -119,25 +125,52 @@ def _inverse(fisher: Float[np.ndarray, "episodes z z"]) -> Float[np.ndarray, "ep
 
 
 def population_draws(
-    means: Float[np.ndarray, "episodes z"], covariances: Float[np.ndarray, "episodes z z"], key, num_draws: int = 1000
+    means: Float[np.ndarray, "episodes z"],
+    covariances: Float[np.ndarray, "episodes z z"],
+    key: PRNGKeyArray,
+    num_draws: int = 1000,
+    varies: Bool[np.ndarray, " z"] | None = None,
 ) -> tuple[Float[np.ndarray, "draws z"], Float[np.ndarray, "draws z"]]:
-    """Posterior of the mean and sd of z over episodes, each known as a Gaussian, by NUTS.
+    """Posterior of the mean and sd of z over episodes, whose Gaussian posteriors under N(0, I) are given, by NUTS.
 
-    Prior: mean N(0, 3), sd half-normal of 1, both in units of the last iteration's spread.
+    Prior: mean N(0, 3), sd half-normal of 1, both in units of the last iteration's spread. Where z does not vary its
+    sd is 0, and its mean is the one value that all episodes have.
     """
-    chains = _population_chains(means.shape[1], num_draws)
-    chains.run(key, jnp.asarray(means), jnp.asarray(covariances))
-    draws = chains.get_samples()
-    return np.asarray(draws["mu"], float), np.asarray(draws["sigma"], float)
+    varies = np.ones(means.shape[1], bool) if varies is None else varies
+    score, information = evidence(means, covariances)
+    with jax.enable_x64(True):
+        chains = _population_chains(means.shape[1], num_draws, tuple(varies.tolist()))
+        chains.run(key, jnp.asarray(score), jnp.asarray(information))
+        draws = chains.get_samples()
+    return np.asarray(draws["mu"], float), np.asarray(draws["spread"], float)
+
+
+def evidence(
+    means: Float[np.ndarray, "episodes z"], covariances: Float[np.ndarray, "episodes z z"]
+) -> tuple[Float[np.ndarray, "episodes z"], Float[np.ndarray, "episodes z z"]]:
+    """h and F of likelihoods exp(h'z - z'Fz / 2), from the Gaussian posteriors that they make of N(0, I)."""
+    values, vectors = np.linalg.eigh(covariances)
+    precision = 1.0 / np.clip(values, 1e-12, 1.0)
+    information = np.einsum("eij,ej,ekj->eik", vectors, precision - 1.0, vectors)
+    return np.einsum("eij,ej,ekj,ek->ei", vectors, precision, vectors, means), information
+
+
+def log_marginal(mu: Array, spread: Array, score: Array, information: Array) -> Array:
+    """log of the integral of N(z; mu, diag spread^2) exp(h'z - z'Fz / 2), for every episode; F may be singular."""
+    off = score - information @ mu
+    inner = jnp.eye(len(mu)) + spread[:, None] * information * spread
+    root = jnp.linalg.cholesky(inner)
+    white = jax.scipy.linalg.solve_triangular(root, (spread * off)[..., None], lower=True)[..., 0]
+    log_det = jnp.log(jnp.diagonal(root, axis1=-2, axis2=-1)).sum(-1)
+    return score @ mu - 0.5 * mu @ information @ mu - log_det + 0.5 * (white**2).sum(-1)
 
 
 @cache  # compiled once for all iterations
-def _population_chains(size: int, num_draws: int) -> MCMC:
-    def model(means: Array, covariances: Array) -> None:
+def _population_chains(size: int, num_draws: int, varies: tuple[bool, ...]) -> MCMC:
+    def model(score: Array, information: Array) -> None:
         mu = numpyro.sample("mu", dist.Normal(jnp.zeros(size), 3.0).to_event(1))
         sigma = numpyro.sample("sigma", dist.HalfNormal(jnp.ones(size)).to_event(1))
-        total = covariances + jnp.eye(size) * (sigma**2 + 1e-8)
-        with numpyro.plate("episodes", len(means)):
-            numpyro.sample("z", dist.MultivariateNormal(mu, total), obs=means)
+        spread = numpyro.deterministic("spread", jnp.where(jnp.array(varies), sigma, 0.0))
+        numpyro.factor("episodes", log_marginal(mu, spread, score, information).sum())
 
     return MCMC(NUTS(model), num_warmup=500, num_samples=num_draws, progress_bar=False, jit_model_args=True)

@@ -1,4 +1,4 @@
-"""Conditional Gaussians as networks: layers of ReLU with layer norm, into every one of which the latent is fed anew."""
+"""Conditional Gaussians as networks: layers of SiLU with layer norm, into every one of which the latent is fed anew."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -51,7 +51,7 @@ class SkipMLP(eqx.Module):
 
 
 class Decoder(eqx.Module):
-    """p(y | x, z): mean and lower-triangular scale of a Gaussian in standardised units."""
+    """p(y | x, z): mean and scale of a Gaussian in standardised units: sds, or a lower triangle where `full`."""
 
     net: SkipMLP
     size: int = eqx.field(static=True)

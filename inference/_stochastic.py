@@ -21,7 +21,7 @@ from det2stoc_bayes.inference._latent import LatentMixture
 from det2stoc_bayes.inference._networks import Decoder, ExtendedDecoder, decoder_of
 from det2stoc_bayes.transitions import Scaling, Transitions
 
-FORMAT = "det2stoc stochastic simulator 1"
+FORMAT = "det2stoc stochastic simulator 2"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,8 @@
 """det2stoc: transitions simulated under psi train a decoder, which is frozen and then read backwards on recordings.
 
 After the algorithm's last turn every recording's transitions are weighed by its decoder, which gives the posterior of
-psi without simulating; the exact likelihood of each draw stands beside it (`log_weight`: exact less learned).
+psi without simulating; the exact likelihood of each draw stands beside it (`log_weight`: exact less learned), and
+says whether the posterior can be trusted.
 """
 
 from collections.abc import Iterator
@@ -11,7 +12,6 @@ import numpy as np
 
 from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.inference._amortized import Iteration, Options, Population, iterate
-from det2stoc_bayes.inference._cvae import Schedule
 from det2stoc_bayes.inference._predictive import heldout_transitions, predictions
 from det2stoc_bayes.inference._sampling import as_key, density_of, numpy_random, per_chain, seed_of
 from det2stoc_bayes.inference._surrogate import Surrogate
@@ -23,6 +23,7 @@ from det2stoc_bayes.unknowns import of_population
 
 NUM_CHAINS = 4
 FARTHEST = 2.5  # prior sds: psi of the first simulations, lest a heavy tail set the units
+WIDER = 3.0  # posterior sds: how a psi that does not vary is simulated next, lest a turn's error exclude the truth
 
 
 def fit(
@@ -80,14 +81,16 @@ def _turns(
 ) -> Iterator[Iteration]:
     """The algorithm's turns: each simulates under the population that the last one found."""
     problem, random = transitions.problem, numpy_random(key)
-    options = Options(decoder=Schedule(num_steps, batch=1000, learning_rate=5e-3))
+    options = Options.decoding(num_steps)
+    varies = np.array([p.varies == "trajectory" for p in problem.simulator.parameters])
     psi = _from_prior(problem, random, num_simulated)
-    believed = Population(psi.mean(0), psi.std(0))
+    believed = Population.of(psi)
     for k in jax.random.split(key, count):
         simulated = transitions.simulated(psi, random)
-        turn = iterate(real, simulated, psi[simulated.episode], believed, k, options)
+        turn = iterate(real, simulated, psi[simulated.episode], believed, k, options, varies=varies)
         yield turn
-        believed = turn.next_population
+        found = turn.next_population
+        believed = Population(found.loc, np.where(varies, found.scale, np.minimum(WIDER * found.scale, believed.scale)))
         psi = _drawn(problem, believed, random, num_simulated)
 
 

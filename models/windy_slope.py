@@ -49,6 +49,15 @@ PRIOR = Population((0.25, 0.0, -1.0), (0.1, 0.2, 1.0), (0.1, -0.25, -3.0), (0.4,
 CALM_PRIOR = Population((0.25, 0.0, 0.0), (0.1, 0.2, 0.5), (0.1, -0.25, -1.0), (0.4, 0.25, 1.0))  # truth outside
 
 
+def normal_draws(
+    loc: Float[np.ndarray, " 3"], scale: Float[np.ndarray, " 3"], random: np.random.Generator, count: int
+) -> Float[np.ndarray, "count 3"]:
+    """psi of independent normals, friction kept above LEAST_FRICTION."""
+    psi = loc + scale * random.standard_normal((count, 3))
+    psi[:, 0] = np.maximum(psi[:, 0], LEAST_FRICTION)
+    return psi
+
+
 def load_model() -> mujoco.MjModel:
     """The scene."""
     return mujoco.MjModel.from_xml_path(str(MODEL))

@@ -205,7 +205,7 @@ def test_an_unforeseen_error_is_one_line_without_debug(study, monkeypatch):
 @pytest.mark.skipif(os.name == "nt", reason="no SIGINT to send")
 def test_an_interruption_is_one_line(study):
     line = [sys.executable, "-m", "det2stoc_bayes", "fit", str(study), "--out", "never"]
-    line += ["--num-samples", "100000000"]
+    line += ["--num-samples", "10000000"]
     process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=study)
     assert process.stderr is not None
     assert process.stderr.readline() == "sampling\n"

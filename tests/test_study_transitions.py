@@ -5,7 +5,7 @@ import pytest
 from conftest import make_study, model_xml
 from simulated import MOTOR, SLED, SPRING, SPRING_PSI, noise_table, pose, recordings
 
-from det2stoc_bayes.errors import MethodNotApplicable
+from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged
 from det2stoc_bayes.study_transitions import STRETCH, StudyTransitions
 from det2stoc_bayes.transitions import Transitions
 
@@ -125,3 +125,11 @@ def test_simulated_ones_are_like_those_recorded(tmp_path, columns):
     gain = np.linalg.lstsq(inputs(simulated), simulated.change, rcond=None)[0]
     left = [(rows.change - inputs(rows) @ gain).std(0) for rows in (simulated, real)]
     np.testing.assert_allclose(left[1], left[0], rtol=0.2)  # 180 rows: a standard error of 5 %
+
+
+def test_simulations_that_diverge_are_no_material(tmp_path):
+    """Explosive damping: the few that stay finite would teach what is not the prior's."""
+    transitions = StudyTransitions.of(spring(tmp_path))
+    psi = np.tile([[-4e4, 30.0]], (20, 1))
+    with pytest.raises(SimulationDiverged, match="100% of the simulations to learn from diverge.*damping -4e"):
+        transitions.simulated(psi, np.random.default_rng(0))

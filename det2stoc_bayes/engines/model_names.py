@@ -90,13 +90,27 @@ def compile_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
     if path.suffix.lower() != ".xml":
         raise ModelError(f"{path.name}: the model is an MJCF file; allowed: .xml")
     _refuse_outside(path, (folder or path.parent).resolve())
+    _refuse_nan(path)
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise ModelError(f"{path.name}: does not compile: {'; '.join(str(error).split(chr(10)))}") from error
-    if not model.opt.timestep > 0:
+    if not 0 < model.opt.timestep < np.inf:
         raise ModelError(f"{path.name}: option timestep: found {model.opt.timestep:g}; allowed: more than 0 s")
     return model
+
+
+def _refuse_nan(path: Path) -> None:
+    """MuJoCo takes what is not a number, and warns on a screen and in a file of its own."""
+    try:
+        elements = list(ElementTree.parse(path).iter())
+    except (ElementTree.ParseError, ValueError, LookupError):
+        return  # MuJoCo's own parser says what is wrong
+    for element in elements:
+        for name, value in element.attrib.items():
+            if name in ("name", "class", "file") or "nan" not in value.lower().split():
+                continue
+            raise ModelError(f"{path.name}: {element.tag} {name}: found '{value[:60]}'; allowed: finite numbers")
 
 
 def compile_loose_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":

@@ -26,6 +26,7 @@ TEMPERING = 60_000  # evaluations that particles take (15 moves a stage)
 BUDGET = 0.05  # of all simulation steps so far: what one belief may cost
 FEWEST, MOST = 128, 1024  # exact evaluations a round; powers of two, for Sobol's points
 DEGREES = 5  # of freedom of the proposal
+ENOUGH = 100  # effective draws: the sds of a belief are then known to 7 %
 NUM_ROUNDS = 3  # of which the later ones adapt
 NUM_PARTICLES = 512
 SPARE = 8  # times as many draws of a Gaussian as are kept, so that some are within the walls
@@ -71,9 +72,9 @@ def believe(fit: Fit, share: float, seed: int, *, temper: Temper | None = None, 
     drawn = _Weighted(density, coordinates, seed)
     for k in range(NUM_ROUNDS):
         drawn.add(_budget(fit))
-        if drawn.k_hat < reliable(len(drawn.x)):
+        if (trusted := drawn.k_hat < reliable(len(drawn.x))) and drawn.effective >= ENOUGH:
             return drawn.belief(own, "adapted" if k else "laplace+psis", num_draws)
-    if temper is not None:
+    if not trusted and temper is not None:
         try:
             return drawn.tempered(own, temper, num_draws)
         except SamplingFailed:
@@ -150,6 +151,12 @@ class _Weighted:
         self.terms, self.log_target = np.concatenate([self.terms, terms]), np.concatenate([self.log_target, value])
         self.log_weights, self.k_hat = smooth(self.log_target - self.log_proposal(self.x))
 
+    @property
+    def effective(self) -> float:
+        """Draws of equal weight that would tell as much."""
+        w = np.exp(self.log_weights)  # normalized
+        return float(w.sum() ** 2 / (w**2).sum()) if w.any() else 0.0
+
     def _evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """z, tempered log likelihood by recording, and log posterior in x."""
         z, volume = self.coordinates(x)
@@ -173,7 +180,7 @@ class _Weighted:
             return self.proposals[-1][:2]
         mean = w @ self.x / w.sum()
         covariance = (w[:, None] * (self.x - mean)).T @ (self.x - mean) / w.sum()
-        effective, size = w.sum() ** 2 / (w**2).sum(), self.density.size
+        effective, size = self.effective, self.density.size
         last = self.proposals[-1][1]
         blended = (effective * covariance + size * last @ last.T) / (effective + size)
         return mean, np.linalg.cholesky(blended)

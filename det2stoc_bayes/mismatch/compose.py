@@ -4,18 +4,21 @@ from importlib.metadata import version
 
 import numpy as np
 
+from det2stoc_bayes.errors import listing
 from det2stoc_bayes.mismatch import finding
 from det2stoc_bayes.mismatch.conflict import tail_probability
 from det2stoc_bayes.mismatch.credence import Credence
 from det2stoc_bayes.mismatch.effects import CATALOGUE
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
 from det2stoc_bayes.mismatch.experiment import propose
-from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE, excess_beyond_chance, horizon_samples
+from det2stoc_bayes.mismatch.heldout import horizon_samples
 from det2stoc_bayes.mismatch.judgement import Judgement, Named
+from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, excess_beyond_chance
 from det2stoc_bayes.mismatch.statements import alternatives, draws, element, finer_step, parameters, statement
 from det2stoc_bayes.mismatch.where import Condition
 
 UNLIKELY = 0.01  # tail probability under its prior at which a psi is said to lie far out
+LISTED = 4  # recordings by name in the summary
 SEEN = 0.005  # change of an error that is told
 PACKAGES = ("det2stoc-bayes", "mujoco", "numpy", "scipy")
 
@@ -85,6 +88,7 @@ class Composer:
                 for m in others
             ),
             alternatives=tuple(alternatives(named.rest)),
+            by_recording=named.by_recording,
         )
 
     def _numerical(self) -> finding.Effect:
@@ -174,7 +178,8 @@ class Composer:
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         drop = _drop(fit, "it" if len(effects) == 1 else "them")
         step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()
-        return " ".join(text for text in [*(e.statement for e in effects), drop, step, left] if text)
+        told = [text for e in effects for text in (e.statement, _untold(e, alone=len(effects) == 1))]
+        return " ".join(text for text in [*told, drop, step, left] if text)
 
     def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:
         count = self.judged.found.num_candidates
@@ -203,14 +208,26 @@ def _shares(effects: tuple[finding.Effect, ...]) -> list[dict]:
     return [{"kind": kind, "name": name, "share": min(s, 1.0)} for (kind, name), s in shares.items()]
 
 
+def _untold(effect: finding.Effect, alone: bool) -> str:
+    """In which recordings an effect does not show, or is not sure; empty where there is none."""
+    of = {kind: [p.recording for p in effect.by_recording if p.kind == kind] for kind in ("negligible", "uncertain")}
+    parts = [f"{kind} in {listing(names, LISTED)}" for kind, names in of.items() if names]
+    if not parts:
+        return ""
+    subject = "It" if alone else effect.name.replace("_", " ").capitalize()
+    return f"{subject} is {' and '.join(parts)}."
+
+
 def _drop(fit: finding.Fit, them: str) -> str:
-    """By how much columns' held-out errors fall, and where one rises; empty where nothing changes."""
+    """By how much columns' held-out errors fall, where one rises or a rollout diverges; empty where nothing changes."""
     before, after = fit.rollout_rmse_before, fit.rollout_rmse_after
     drops = {c: 1 - a / b for c in before if (b := before[c]) and (a := after.get(c)) is not None}
     falls = sorted(d for d in drops.values() if d >= SEEN)
-    if not falls:
-        return ""
-    low, high = f"{falls[0]:.0%}", f"{falls[-1]:.0%}"
-    many = f"{low} to {high}, depending on the column" if low != high else high
-    rises = ", ".join(f"that of {c} rises by {-d:.0%}" for c, d in drops.items() if d <= -SEEN)
-    return f"With {them} the held-out error falls by {many}{f'; {rises}' if rises else ''}."
+    parts = []
+    if falls:
+        low, high = f"{falls[0]:.0%}", f"{falls[-1]:.0%}"
+        many = f"{low} to {high}, depending on the column" if low != high else high
+        parts.append(f"the held-out error falls by {many}")
+    parts += [f"that of {c} rises by {-d:.0%}" for c, d in drops.items() if d <= -SEEN]
+    parts += [f"held-out rollouts of {c} diverge" for c, b in before.items() if b is not None and after.get(c) is None]
+    return f"With {them} {'; '.join(parts)}." if parts else ""

@@ -1,7 +1,7 @@
 """How far a judgement can be believed: posteriors, leave-one-out scores, stacking, predictive check, exact chains."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -90,7 +90,7 @@ def weigh(
         stacking=_stacking(judged, held_before, held_after, rivals),
         exact=tuple(compared),
     )
-    return replace(judged, held_before=held_before, held_after=held_after), credence
+    return judged.rescored(held_before, held_after), credence
 
 
 def _believed(fit: Fit, share: float, seed: int, temper: Temper | None) -> Belief:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from det2stoc_bayes.errors import SimulationDiverged
-from det2stoc_bayes.files import atomic_write, replacing
+from det2stoc_bayes.files import atomic_write
 from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.belief import Sampler, Temper
 from det2stoc_bayes.mismatch.candidates import candidates
@@ -21,6 +21,7 @@ from det2stoc_bayes.mismatch.numerics import check_numerics
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.where import conditions
 from det2stoc_bayes.optimize import Fit
+from det2stoc_bayes.posterior import to_bytes
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
@@ -54,8 +55,7 @@ class Diagnosis:
             atomic_write(out / "effects.py", self.patch.module)
         else:
             (out / "effects.py").unlink(missing_ok=True)  # of an earlier diagnosis
-        with replacing(out / "fit.nc") as path:
-            self.tree.to_netcdf(path, engine="h5netcdf")
+        atomic_write(out / "fit.nc", to_bytes(self.tree))
         atomic_write(out / "report.html", page)
         finding.write_json(self.finding, out / "diagnosis.json")
 

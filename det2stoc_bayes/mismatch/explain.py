@@ -8,7 +8,6 @@ import numpy as np
 from det2stoc_bayes.mismatch.crossed import others_exist, untold
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_told
-from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.kin import with_kin
 from det2stoc_bayes.mismatch.looks import Looks
@@ -19,14 +18,17 @@ from det2stoc_bayes.mismatch.race import (
     Slot,
     gain,
     threshold,
+    tolerance,
 )
 from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without, without_each
-from det2stoc_bayes.optimize import Fit
+from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
+from det2stoc_bayes.optimize import Fit, fit_many
 
 MAX_EFFECTS = 3
 NUM_CROSSED = 3  # single additions, beside pairs, that other recordings decide between
 CLEARLY = 1.0  # nats by which a rival must be ahead to take an effect's place
 AHEAD = 5.0  # nats by which an effect may be ahead of a rival without further question
+MOST_ITERATIONS = 15  # of the winner of a race
 MAX_ROUNDS = 3  # explanations, each without what the last had in vain
 
 
@@ -108,8 +110,7 @@ def _bare(before: Fit, grown: Fit) -> Fit:
     """The believed model on the segments of the explanation; as it was where it cannot follow them."""
     if grown.problem.segments.count == before.problem.segments.count:
         return before
-    found = refit(grown, ())
-    return before if found is grown else found
+    return refit(grown, ()) or before
 
 
 def _grow(
@@ -121,10 +122,18 @@ def _grow(
         better = _better(slot, needed, first.base, looks)
         if better is None:
             return _prune(slot.base, needed)
-        better = extend(better)
+        better = _settled(extend(better))
         if len(better.problem.effects) >= MAX_EFFECTS or _enough(better, first.base):
             return _prune(better, needed)
         slot = looks.at(better, pool)
+
+
+def _settled(fit: Fit) -> Fit:
+    """The fit at its optimum: under a large misfit a race is won long before that."""
+    if fit.converged or fit.noise_inflation < MODEL_ERROR:
+        return fit
+    found = fit_many([(fit.problem, fit.point)], max_iterations=MOST_ITERATIONS, tolerance=tolerance(fit))[0]
+    return fit if found is None or found.chi2 > fit.chi2 else found
 
 
 def _better(slot: Slot, needed: float, believed: Fit, looks: Looks) -> Fit | None:
@@ -174,19 +183,20 @@ def _without_useless(
     believed = untold(bare)
     while effects := grown.problem.effects:
         one, whole = len(effects) == 1, untold(grown)
-        rest = dict.fromkeys(effects, bare) if one else lean | _leaner(grown, [e for e in effects if e not in lean])
-        # A fit that cannot do without the effect is the same fit.
-        told = {e: 1.0 if f is grown else (untold(f) - whole) / believed for e, f in rest.items()}
+        rest: dict[PlacedEffect, Fit | None] = dict.fromkeys(effects, bare)
+        if not one:
+            rest = lean | _leaner(grown, [e for e in effects if e not in lean])
+        told = {e: 1.0 if f is None else (untold(f) - whole) / believed for e, f in rest.items()}
         worst = min(effects, key=lambda e: told[e])
         if told[worst] >= NEGLIGIBLE:
-            return grown, rest, useless
-        grown, lean = rest[worst], {}
+            return grown, {e: f for e, f in rest.items() if f is not None}, useless
+        grown, lean = rest[worst] or grown, {}
         useless.add(worst)
     return grown, lean, useless
 
 
-def _leaner(fit: Fit, dropped: Sequence[PlacedEffect]) -> dict[PlacedEffect, Fit]:
-    """The best fit without each of these effects."""
+def _leaner(fit: Fit, dropped: Sequence[PlacedEffect]) -> dict[PlacedEffect, Fit | None]:
+    """The best fit without each of these effects, None where there is none."""
     return dict(zip(dropped, without_each(fit, dropped), strict=True))
 
 
@@ -203,7 +213,7 @@ def _earns(both: Fit, alone: Sequence[Fit], base: Fit, needed: float) -> bool:
 
 def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], looks: Looks) -> Slot:
     """What could stand in place i of the list, the other effects staying; the present one competes too."""
-    slot = looks.at(base or without(final, i), pool)
+    slot = looks.at(base or without(final, i) or final, pool)
     base = slot.base
     own = Ranked(final.problem.effects[i], reordered(final, i), 0.0)
     own = replace(own, gain=gain(base, own.fit, effective_share(final)))
@@ -238,8 +248,8 @@ def _prune(fit: Fit, needed: float) -> tuple[Fit, dict[PlacedEffect, Fit]]:
         return fit, lean
     for placed in effects:
         rest = without(fit, fit.problem.effects.index(placed))
-        if gain(rest, fit, effective_share(fit)) < needed:
+        if rest is not None and gain(rest, fit, effective_share(fit)) < needed:
             fit, lean = rest, {}
-        else:
+        elif rest is not None:
             lean[placed] = rest
     return fit, lean

@@ -121,6 +121,16 @@ class Equivalent(Entry):
     parameters: dict[str, Parameter]
 
 
+class RecordingPart(Entry):
+    """An effect in one recording that was not fitted."""
+
+    recording: str
+    explains: Share | None
+    kind: Literal["explained", "negligible", "uncertain"] = Field(
+        description="uncertain: more of the recording's error stays unexplained than goes with the effect"
+    )
+
+
 class Effect(Entry):
     name: str
     element: Element
@@ -132,6 +142,7 @@ class Effect(Entry):
     parameters: dict[str, Parameter]
     equivalent: tuple[Equivalent, ...]
     alternatives: tuple[Alternative, ...]
+    by_recording: tuple[RecordingPart, ...] = ()
 
 
 class Experiment(Entry):

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from det2stoc_bayes.linearization import Linearization
-from det2stoc_bayes.mismatch.evidence import CHANCE
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.recording import Recording
@@ -17,7 +16,6 @@ from det2stoc_bayes.start_fit import fit_starts
 WARM_UP = 0.1  # of a stretch: the samples from which its initial state is estimated
 LEAST_WARM_UP = 10  # samples
 ALIKE = 1.5  # times as long: recordings that are simulated together
-NEGLIGIBLE = 0.05  # of the held-out squared error beyond noise
 DIVERGED = 1e6  # whitened squared error a value at which a diverged rollout is counted
 
 
@@ -120,16 +118,12 @@ def _scores(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> dict[
     """Recordings with the same unknowns are simulated together, unless one of them diverges."""
     problem, posed = _posed(fit, z, recordings)
     segments, lin = problem.segments, fit_starts(problem, posed)
-    if lin is None and len(recordings) > 1:
-        return {name: s for r in recordings for name, s in _scores(fit, z, (r,)).items()}
-    if lin is None:
-        return {r.name: _diverged(segments, r) for r in recordings}
-    chi2, normalizer = _integrated(lin)
-    predicted = _rollout(problem, posed)
-    if not np.isfinite(predicted).all():  # a start that its warm-up fits may still lead astray
+    predicted = np.array(np.nan) if lin is None else _rollout(problem, posed)
+    if lin is None or not np.isfinite(predicted).all():  # a start that its warm-up fits may still lead astray
         if len(recordings) > 1:
             return {name: s for r in recordings for name, s in _scores(fit, z, (r,)).items()}
         return {r.name: _diverged(segments, r) for r in recordings}
+    chi2, normalizer = _integrated(lin)
     error = problem.residuals(predicted).reshape(segments.values.shape)
     counted, out = _counted(segments), {}
     error = np.where(counted, error, 0.0)
@@ -225,16 +219,3 @@ def fitted(fit: Fit) -> HeldOut:
     """The same for the recordings that were fitted."""
     study = fit.problem.simulator.study
     return evaluate(fit, dict.fromkeys((r.name for r in study.recordings), fit.point.z), study.recordings)
-
-
-def share_explained(believed: HeldOut, base: HeldOut, better: HeldOut) -> float:
-    """Share of the believed model's held-out squared excess that goes when `base` becomes `better`."""
-    excess = excess_beyond_chance(believed)
-    return float(np.clip((base.chi2.sum() - better.chi2.sum()) / excess, -1.0, 1.0)) if excess else 0.0
-
-
-def excess_beyond_chance(scores: HeldOut) -> float:
-    """Squared whitened error in excess of noise, 0 while noise alone may well have made it."""
-    values = scores.num_values.sum()
-    excess = float(scores.chi2.sum() - values)
-    return excess if excess > CHANCE * np.sqrt(2 * values) else 0.0

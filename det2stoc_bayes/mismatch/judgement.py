@@ -6,21 +6,36 @@ from det2stoc_bayes.mismatch.classes import Class, classes
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.mismatch.explain import Explanation
-from det2stoc_bayes.mismatch.finding import SURE
-from det2stoc_bayes.mismatch.heldout import NEGLIGIBLE, HeldOut, excess_beyond_chance, held_out, share_explained
+from det2stoc_bayes.mismatch.finding import SURE, RecordingPart
+from det2stoc_bayes.mismatch.heldout import HeldOut, held_out
 from det2stoc_bayes.mismatch.numerics import Numerics, corrected
 from det2stoc_bayes.mismatch.refit import swap, without
+from det2stoc_bayes.mismatch.shares import (
+    NEGLIGIBLE,
+    excess_beyond_chance,
+    share_explained,
+    shares_by_recording,
+)
 from det2stoc_bayes.optimize import Fit, fit_many
 
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """An effect that matters: its class, its share of the held-out error, and the other classes of its place."""
+    """An effect that matters: its class, the other classes of its place, and its share of the held-out error."""
 
     placed: PlacedEffect
     chosen: Class
-    explains: float
     rest: tuple[Class, ...]
+    bare: HeldOut | None  # scores without it; None: no simulation follows the recordings without it
+    explains: float = 1.0
+    by_recording: tuple[RecordingPart, ...] = ()
+
+    def scored(self, believed: HeldOut, whole: HeldOut) -> "Named":
+        """With its shares of the believed model's error."""
+        if self.bare is None:
+            return self
+        share, each = share_explained(believed, self.bare, whole), shares_by_recording(believed, self.bare, whole)
+        return replace(self, explains=share, by_recording=each)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +53,14 @@ class Judgement:
     numerics_share: float
     held_before: HeldOut
     held_after: HeldOut
+
+    def rescored(self, held_before: HeldOut, held_after: HeldOut) -> "Judgement":
+        """The same with held-out scores that are more exact, and shares by them."""
+        named = [
+            replace(n, bare=held_before if n.bare is self.held_before else n.bare).scored(held_before, held_after)
+            for n in self.named
+        ]
+        return replace(self, held_before=held_before, held_after=held_after, named=tuple(named))
 
     @property
     def shown(self) -> Fit:
@@ -60,21 +83,29 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
         if share < NEGLIGIBLE:
             numerics, after = None, corrected(_at_believed_step(after))
             whole = held_out(after)
+
+    def bare(fit: Fit, i: int) -> HeldOut | None:
+        """Scores without effect i; without a single one the believed model stands."""
+        if len(fit.problem.effects) == 1 and numerics is None:
+            return held_before
+        lean = _lean(found, fit, i)
+        return None if lean is None else held_out(lean)
+
     named, negligible = [], []
     for i, placed in enumerate(after.problem.effects):
-        explains = _explained(found, after, i, held_before, whole, numerics is None)
-        if explains < NEGLIGIBLE and not _beyond_noise(after, explains, held_before):
-            negligible.append((placed, explains))
+        chosen = _class_of(places[i], placed)
+        rest = tuple(c for c in places[i] if c is not chosen)
+        one = Named(placed, chosen, rest, bare(after, i)).scored(held_before, whole)
+        if one.explains < NEGLIGIBLE and not _beyond_noise(after, one.explains, held_before):
+            negligible.append((placed, one.explains))
         else:
-            chosen = _class_of(places[i], placed)
-            named.append(Named(placed, chosen, explains, tuple(c for c in places[i] if c is not chosen)))
+            named.append(one)
     for placed, _ in negligible:
-        after = _lean(found, after, list(after.problem.effects).index(placed))
+        after = _lean(found, after, list(after.problem.effects).index(placed)) or after
     if negligible and named:  # what the others explain is told beside those that stay
         whole = held_out(after)
         kept = list(after.problem.effects)
-        shares = [_explained(found, after, kept.index(n.placed), held_before, whole, numerics is None) for n in named]
-        named = [replace(n, explains=s) for n, s in zip(named, shares, strict=True)]
+        named = [replace(n, bare=bare(after, kept.index(n.placed))).scored(held_before, whole) for n in named]
     if not named and numerics is None:
         verdict, after = "no_mismatch", before
     else:
@@ -101,14 +132,6 @@ def _class_of(place: list[Class], placed: PlacedEffect) -> Class:
     return next(c for c in place if any(r.placed == placed for r in c.alike))
 
 
-def _lean(found: Explanation, after: Fit, i: int) -> Fit:
-    """The best fit without effect i; that of the explanation where it still stands."""
+def _lean(found: Explanation, after: Fit, i: int) -> Fit | None:
+    """The best fit without effect i, where there is one; that of the explanation where it still stands."""
     return found.slots[i].base if after is found.after else without(after, i)
-
-
-def _explained(
-    found: Explanation, after: Fit, i: int, believed: HeldOut, whole: HeldOut, at_believed_step: bool
-) -> float:
-    """Share of the held-out error that goes with effect i; without a single one the believed model stands."""
-    alone = len(after.problem.effects) == 1 and at_believed_step
-    return share_explained(believed, believed if alone else held_out(_lean(found, after, i)), whole)

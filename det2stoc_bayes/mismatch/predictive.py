@@ -90,7 +90,7 @@ def _replicated(fit: Fit, random: np.random.Generator, count: int) -> Float[np.n
     lin, problem = fit.linear, fit.problem
     j, size = lin.latent.project(lin.columns), problem.size
     precision = np.einsum("snk,snl->kl", j, j) + np.eye(size)
-    chunk, out = max(1, MAX_VALUES // j[..., :1].size), []
+    chunk, out = max(1, MAX_VALUES // (j.shape[0] * j.shape[1])), []
     for begin in range(0, count, chunk):
         n = min(chunk, count - begin)
         noise = random.standard_normal((*lin.stacked.shape[:2], n))

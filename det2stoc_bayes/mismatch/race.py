@@ -143,10 +143,12 @@ def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = 
     if not fits:
         return []
     share = effective_share(min(fits, key=lambda f: f.chi2))
-    top = max(log_evidence(f, share) for f in fits)
-    behind = np.clip(RACE[1] * (top - log_evidence(base, share)), RACE[0], RACE[2])
-    fits = sorted(fits, key=lambda f: -log_evidence(f, share))[:most]
-    racing = [f for f in fits if log_evidence(f, share) > top - behind]
+    evidence, floor = {id(f): log_evidence(f, share) for f in fits}, log_evidence(base, share)
+    top = max(evidence.values())
+    behind = np.clip(RACE[1] * (top - floor), RACE[0], RACE[2])
+    fits = sorted(fits, key=lambda f: -evidence[id(f)])[:most]
+    # A sketch that ends below where it began went astray: it says nothing of the hypothesis.
+    racing = [f for f in fits if not floor <= evidence[id(f)] <= top - behind]
     on = [(f.problem, f.point) for f in racing]
     further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
     better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None}

@@ -21,25 +21,24 @@ def _keep(fit: Fit, effects: Sequence[PlacedEffect]) -> Point:
     return Point(np.concatenate(parts), fit.point.start)
 
 
-def refit(fit: Fit, effects: Sequence[PlacedEffect]) -> Fit:
-    """The best fit with only some of the effects, on the same segments; the fit itself where none is found."""
+def refit(fit: Fit, effects: Sequence[PlacedEffect]) -> Fit | None:
+    """The best fit with only some of the effects, on the same segments; None where no simulation follows them."""
     return _refits(fit, [effects])[0]
 
 
-def without(fit: Fit, i: int) -> Fit:
-    """The best fit without effect i."""
+def without(fit: Fit, i: int) -> Fit | None:
+    """The best fit without effect i; None where no simulation follows the recordings."""
     return without_each(fit, [fit.problem.effects[i]])[0]
 
 
-def without_each(fit: Fit, dropped: Sequence[PlacedEffect]) -> list[Fit]:
+def without_each(fit: Fit, dropped: Sequence[PlacedEffect]) -> list[Fit | None]:
     """The best fits without each of these effects, the others staying."""
     return _refits(fit, [[e for e in fit.problem.effects if e != gone] for gone in dropped])
 
 
-def _refits(fit: Fit, choices: Sequence[Sequence[PlacedEffect]]) -> list[Fit]:
+def _refits(fit: Fit, choices: Sequence[Sequence[PlacedEffect]]) -> list[Fit | None]:
     points = [(fit.problem.with_effects(effects), _keep(fit, effects)) for effects in choices]
-    found = fit_many(points, tolerance=tolerance(fit)) if points else []
-    return [fit if f is None else f for f in found]
+    return fit_many(points, tolerance=tolerance(fit)) if points else []
 
 
 def swap(fit: Fit, i: int, other: Ranked) -> Fit:

@@ -21,7 +21,7 @@ def posterior(fit: Fit, z: np.ndarray) -> xr.Dataset:
     """Draws of psi and effect parameters by name, dims chain and draw."""
     problem = fit.problem
     names = {"recording": list(problem.unknowns.recordings)} if problem.unknowns.varying else {}
-    return xr.Dataset(named_draws(problem, z.reshape(NUM_CHAINS, -1, problem.size), _variable), names)
+    return xr.Dataset(named_draws(problem, z.reshape(NUM_CHAINS, len(z) // NUM_CHAINS, problem.size), _variable), names)
 
 
 def _variable(name: str) -> str:

@@ -169,6 +169,10 @@ def _effect(effect: Mapping[str, Any]) -> dict[str, Any]:
         "explains": numbers.percent(effect["explains"]),
         "recordings": "all recordings" if recordings == "all" else ", ".join(recordings),
         "parameters": contents.parameter_rows(effect["parameters"]),
+        "by_recording": [
+            {"recording": part["recording"], "kind": part["kind"], "explains": numbers.percent(part["explains"])}
+            for part in effect.get("by_recording") or []
+        ],
         "alternatives": contents.listed_candidates(effect["alternatives"]),
         "equivalent": [
             {

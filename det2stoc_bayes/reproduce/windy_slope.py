@@ -64,7 +64,7 @@ def rows(seeds: list[dict[str, Any]]) -> list[dict[str, Any]]:
         of_model = [s["models"][name] for s in seeds if name in s["models"]]
         values = {m: np.array([o["metrics"][m] for o in of_model]) for m in of_model[0]["metrics"]}
         spread = {m: [float(v.mean()), float(v.std(ddof=1)) if len(v) > 1 else None] for m, v in values.items()}
-        about = {"name": name, "real": of_model[0]["real"], "seeds": len(of_model), "source": SOURCE.get(name)}
+        about = {"name": name, "source": SOURCE.get(name)} | {k: of_model[0][k] for k in ("real", "variant")}
         out.append(about | {"metrics": spread})
     return out
 
@@ -87,10 +87,10 @@ def _oracles(work: Work, tested: np.ndarray, test: Transitions) -> dict[str, Any
     settings, stage = work.settings, partial(work.progress, "asking the oracle")
     psi = windy_slope.REALITY.draw(work.random(4), max(settings.num_simulated, settings.num_oracle))
     states = work.simulate(psi, "simulating for the oracle")
-    ask, few = windy_slope.simulate, settings.num_oracle // 3
+    ask, count = windy_slope.simulate, settings.num_oracle
     enough = len(psi) >= 2 * NEIGHBOURS  # a regression on fewer would be surer than it may be
     return {
-        "population": population_oracle(test, psi[: settings.num_oracle], ask, stage),
-        "state": state_oracle(test, psi, states, few, work.random(6), ask, stage) if enough else None,
+        "population": population_oracle(test, psi[:count], ask, stage),
+        "state": state_oracle(test, psi, states, count, work.random(6), ask, stage) if enough else None,
         **rollout_scores(states[: settings.num_draws], tested),
     }

@@ -2,11 +2,9 @@
 
 from typing import Any
 
-import jax
 import numpy as np
 
 from det2stoc_bayes.inference._amortized import Options, Population, iterate
-from det2stoc_bayes.inference._cvae import Schedule
 from det2stoc_bayes.models import windy_slope
 from det2stoc_bayes.posterior import ALARM
 from det2stoc_bayes.reproduce.windy_slope_work import REAL_EPISODES, Work
@@ -21,15 +19,18 @@ def alarms(work: Work) -> dict[str, Any]:
     One decoder a prior; every seed has its own recordings and its own encoder.
     """
     settings, out = work.settings, {}
+    recorded = [
+        Transitions.of_episodes(work.recorded(number, REAL_EPISODES[0])[1])
+        for number in range(settings.num_seeds if settings.num_alarm else 0)
+    ]
     for name, prior in PRIORS.items() if settings.num_alarm else ():
         psi = prior.draw(work.random(7), settings.num_alarm)
         simulated = Transitions.of_episodes(work.simulate(psi, "simulating for the alarm"))
-        each, believed = np.repeat(psi, windy_slope.NUM_STEPS, 0), Population(psi.mean(0), psi.std(0))
-        options = Options(decoder=Schedule(settings.decoder_steps, batch=1000, learning_rate=5e-3))
+        each, believed = np.repeat(psi, windy_slope.NUM_STEPS, 0), Population.of(psi)
+        options = Options.decoding(settings.decoder_steps)
         decoder, turns = None, []
-        for number in range(settings.num_seeds):
-            real = Transitions.of_episodes(work.recorded(number)[1][: REAL_EPISODES[0]])
-            key = jax.random.key(700 + number)
+        for number, real in enumerate(recorded):
+            key = work.key("alarm", number)
             found = iterate(real, simulated, each, believed, key, options, work.progress, decoder)
             decoder = found.pretrained
             turns.append(found)

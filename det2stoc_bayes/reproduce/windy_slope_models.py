@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -58,7 +57,7 @@ class Seed:
             name = f"baseline {len(real)}"
 
             def learn(real: Transitions = real, name: str = name) -> Told:
-                made, history = baseline(real, NUM_LATENTS, jax.random.key(self.number), options, work.progress)
+                made, history = baseline(real, NUM_LATENTS, work.key(name, self.number), options, work.progress)
                 return self._scored(made, name, len(real)) | {"steps": history[-1][0]}
 
             found[name] = work.model(self.number, name, learn)
@@ -80,21 +79,13 @@ class Seed:
 
     def _turned(self, believed: Population | None, turn: int) -> Iteration:
         """One turn of the algorithm, from psi_0 where nothing is believed yet."""
-        psi, simulated = _first(self.work) if believed is None else self._simulated(believed, turn)
-        believed = believed or Population(psi.mean(0), psi.std(0))
         steps = self.work.settings.decoder_steps if turn else self.work.settings.first_steps
-        return self._iterate(psi, simulated, believed, turn, _decoding(steps))
+        return self._iterate(believed, turn, Options.decoding(steps))
 
-    def _iterate(
-        self,
-        psi: Float[np.ndarray, "episodes 3"],
-        simulated: Transitions,
-        believed: Population,
-        turn: int,
-        options: Options,
-        decoder: Any = None,
-    ) -> Iteration:
-        each, key = np.repeat(psi, windy_slope.NUM_STEPS, 0), jax.random.key(100 * self.number + turn)
+    def _iterate(self, believed: Population | None, turn: int, options: Options, decoder: Any = None) -> Iteration:
+        psi, simulated = self._simulated(believed, turn) if believed else _first(self.work)
+        believed = believed or Population.of(psi)
+        each, key = np.repeat(psi, windy_slope.NUM_STEPS, 0), self.work.key("iteration", self.number, turn)
         return iterate(self._real(turn), simulated, each, believed, key, options, self.work.progress, decoder)
 
     def _real(self, turn: int) -> Transitions:
@@ -103,14 +94,13 @@ class Seed:
     def _simulated(self, believed: Population, turn: int) -> tuple[Float[np.ndarray, "episodes 3"], Transitions]:
         """psi of a population, and episodes under them."""
         work = self.work
-        z = work.random(2, self.number, turn).standard_normal((work.settings.num_simulated, NUM_LATENTS))
-        psi = believed.loc + believed.scale * z
-        psi[:, 0] = np.maximum(psi[:, 0], windy_slope.LEAST_FRICTION)
+        random = work.random(2, self.number, turn)
+        psi = windy_slope.normal_draws(believed.loc, believed.scale, random, work.settings.num_simulated)
         return psi, Transitions.of_episodes(work.simulate(psi, "simulating"))
 
     def _marginal(self, believed: Population, last: int) -> Told:
         _, simulated = self._simulated(believed, last)
-        options, key = _decoding(self.work.settings.first_steps), jax.random.key(100 * self.number + last)
+        options, key = Options.decoding(self.work.settings.first_steps), self.work.key(MARGINAL, self.number)
         made, _ = marginal(simulated, key, options, self.work.progress)
         return self._scored(made, MARGINAL, len(self._real(last - 1)))
 
@@ -124,12 +114,10 @@ class Seed:
             if kind == ROTATIONS:
                 made = replace(plain, rotations=(MATRIX,))
             else:
-                psi, simulated = _first(self.work) if believed is None else self._simulated(believed, turn)
-                population = believed or Population(psi.mean(0), psi.std(0))
-                options = replace(VARIANTS[kind], decoder=_decoding(self.work.settings.decoder_steps).decoder)
-                decoder = None if options.full else plain.decoder
-                made = self._iterate(psi, simulated, population, turn, options, decoder).simulator
-            return self._scored(made, f"{name}, {kind}", len(self._real(turn)))
+                schedule = Options.decoding(self.work.settings.decoder_steps).decoder
+                options = replace(VARIANTS[kind], decoder=schedule)
+                made = self._iterate(believed, turn, options, None if options.full else plain.decoder).simulator
+            return self._scored(made, f"{name}, {kind}", len(self._real(turn))) | {"variant": True}
 
         for kind in (*VARIANTS, ROTATIONS):
             found[f"{name}, {kind}"] = self.work.model(self.number, f"{name}, {kind}", lambda kind=kind: learn(kind))
@@ -138,13 +126,10 @@ class Seed:
     def _scored(self, simulator: StochasticSimulator, name: str, real: int) -> Told:
         simulator.save(self.work.saved(self.number, name))
         draws, test = self.work.settings.num_draws, Transitions.of_episodes(self.tested)
-        scores = transition_scores(simulator, test, draws, self.number)
-        rolled = rolled_out(simulator, self.tested[0, 0], draws, self.number)
-        return {"real": real, "metrics": scores | rollout_scores(rolled, self.tested)}
-
-
-def _decoding(num_steps: int) -> Options:
-    return Options(decoder=Schedule(num_steps, batch=1000, learning_rate=5e-3))
+        scores = transition_scores(simulator, test, draws, self.work.key("scores", self.number))
+        rolled = rolled_out(simulator, self.tested[0, 0], draws, self.work.key("rollouts", self.number))
+        metrics = scores | rollout_scores(rolled, self.tested)
+        return {"real": real, "variant": False, "metrics": metrics}
 
 
 def _next(models: dict[str, Told], turn: int) -> Population:
@@ -173,7 +158,7 @@ def told(found: Iteration) -> Told:
 
 def _first(work: Work) -> tuple[Float[np.ndarray, "episodes 3"], Transitions]:
     """psi_0 and its simulations."""
-    path = work.out / "parts" / f"psi_0_{work.seed}_{work.settings.num_first}.npz"
+    path = work.out / "parts" / f"psi_0_{work.asked['scene']}_{work.seed}_{work.settings.num_first}.npz"
     if not path.is_file():
         psi = windy_slope.PRIOR.draw(work.random(3), work.settings.num_first)
         states = work.simulate(psi, "simulating psi_0")

@@ -2,9 +2,8 @@
 
 from collections.abc import Callable
 
-import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, PRNGKeyArray
 
 from det2stoc_bayes import metrics
 from det2stoc_bayes.inference._predictive import row_scores
@@ -19,9 +18,11 @@ ROLLOUT_STEPS = (10, 50, 100)  # at which rollouts are scored
 Simulate = Callable[..., Float[np.ndarray, "episodes samples 18"]]
 
 
-def transition_scores(simulator: StochasticSimulator, test: Transitions, num_draws: int, seed: int) -> dict[str, float]:
+def transition_scores(
+    simulator: StochasticSimulator, test: Transitions, num_draws: int, key: PRNGKeyArray
+) -> dict[str, float]:
     """The three log densities of the test set, and two scores of the draws."""
-    scores, ranks = row_scores(simulator, test, num_draws, jax.random.key(seed))
+    scores, ranks = row_scores(simulator, test, num_draws, key)
     distances = [metrics.uniform_distance(r) for r in ranks.T]
     return {n: float(v.mean()) for n, v in scores.items()} | {"pit_distance": float(np.mean(distances))}
 
@@ -38,10 +39,12 @@ def rollout_scores(
     return {"rollout_energy": float(np.mean(energies)), "rollout_pit_distance": float(np.mean(distances))}
 
 
-def rolled_out(simulator: StochasticSimulator, start: Float[np.ndarray, " 18"], num_draws: int, seed: int):
+def rolled_out(
+    simulator: StochasticSimulator, start: Float[np.ndarray, " 18"], num_draws: int, key: PRNGKeyArray
+) -> Float[np.ndarray, "draws samples 18"]:
     """Rollouts from one state, each with a latent that stays."""
     actions = np.zeros((num_draws, windy_slope.NUM_STEPS, 0))
-    return simulator.rollout(jax.random.key(seed), np.tile(start, (num_draws, 1)), actions)
+    return simulator.rollout(key, np.tile(start, (num_draws, 1)), actions)
 
 
 def population_oracle(

@@ -152,5 +152,5 @@ def test_scale_of_badly_scaled_precision():
 def test_without_unknowns(gaussian_problem):
     study = replace(gaussian_problem.simulator.study, parameters=())
     simulator = type(gaussian_problem.simulator)(study)
-    with pytest.raises(MethodNotApplicable, match="no unknowns"):
+    with pytest.raises(MethodNotApplicable, match="declares no psi"):
         find_map(make_problem(simulator))

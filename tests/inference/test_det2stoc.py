@@ -123,15 +123,19 @@ def test_what_is_returned(problem, fitted, tmp_path):
     assert [r.name for r in summarize(fitted)] == ["damping", "stiffness"]
     turns = fitted.turns
     assert turns.simulated_mean.dims == ("turn", "psi") and turns.sizes["turn"] == 2
-    assert (turns.simulated_sd[1] < turns.simulated_sd[0]).all()
+    assert (turns.simulated_sd[1] <= turns.simulated_sd[0]).all() and (
+        turns.simulated_sd[1] < turns.simulated_sd[0]
+    ).any()
     assert (turns.outside < 0.05).all()
     assert (turns.alarm < 0.05).all() and not beyond_prior(fitted)
     assert np.isfinite(fitted.sample_stats.log_weight).all()
     turns.alarm[-1] = 0.9
-    assert "with probability 0.9 psi lies beyond" in beyond_prior(fitted)
-    turns.alarm[-1] = 0.0
+    assert "with probability 0.9 psi lies beyond all that the last decoder learned from" in beyond_prior(fitted)
+    turns.alarm[0] = 0.8
+    assert "with probability 0.8 psi lies beyond all that was simulated under its prior" in beyond_prior(fitted)
+    turns.alarm[:] = 0.0
     told = predicted(fitted)
-    assert [t.recording for t in told] == ["run_0", "run_1"] and told[0].num_transitions == 60
+    assert [t.recording for t in told] == ["holdout_run_0", "holdout_run_1"] and told[0].num_transitions == 60
     save(fitted, tmp_path / "fit.nc")
     assert load(tmp_path / "fit.nc").identical(fitted)
 

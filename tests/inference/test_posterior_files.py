@@ -1,10 +1,11 @@
 """Fits on file: whole or not at all, and a clear error for anything else."""
 
+import numpy as np
 import pytest
 import xarray as xr
 
 from det2stoc_bayes.errors import Det2StocError
-from det2stoc_bayes.posterior import load, observed_data, save
+from det2stoc_bayes.posterior import load, observed_data, save, unreliable
 from det2stoc_bayes.problem import make_problem
 
 
@@ -44,3 +45,12 @@ def test_observed_data_joins_segments(gaussian_problem):
     cut = make_problem(gaussian_problem.simulator, num_samples=7)
     assert cut.segments.count > 2
     xr.testing.assert_identical(observed_data(cut), observed_data(gaussian_problem))
+
+
+def test_weights_with_a_heavy_tail_are_told(fits):
+    """Draws of the exact posterior have equal weights; those of a far narrower one have a few that count for all."""
+    tree = fits("laplace").copy(deep=True)
+    weights = tree["sample_stats"]["log_weight"]
+    assert not unreliable(fits("laplace")) and not unreliable(fits("nuts"))  # of which one has none
+    weights.values[:] = np.random.default_rng(0).exponential(1.5, weights.shape)  # k-hat 1.5
+    assert "reliable below 0.67" in unreliable(tree)

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 import xarray as xr
+from simulated import spring_problem
 from typer.testing import CliRunner
 
 from det2stoc_bayes import cli
@@ -378,3 +379,17 @@ def test_a_simulation_that_cannot_follow(plain, tmp_path):
     errors = [line for line in shown.stderr.splitlines() if line.startswith("error:")]
     assert len(errors) == 1 and "diverges" in errors[0]
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_a_model_that_is_held_to_be_known(tmp_path, wrong):
+    """No psi at all: nothing could absorb what is missing, and nothing is drawn where nothing is unknown."""
+
+    def drag(model, data):
+        data.qfrc_applied[0] = -1.5 * abs(data.qvel[0]) * data.qvel[0] if wrong else 0.0
+
+    study = spring_problem(tmp_path, toml="", push=drag).simulator.study
+    diagnose(study).write(tmp_path / "out")
+    finding = from_json((tmp_path / "out" / "diagnosis.json").read_text("utf-8"))
+    assert finding.verdict == ("mismatch" if wrong else "no_mismatch") and finding.psi == {}
+    assert [e.name for e in finding.effects] == ["quadratic_damping"] * wrong

@@ -92,7 +92,7 @@ def test_densities_are_those_of_dense_gaussians(held):
     """Psi is fixed, so that only the starts are integrated out: a problem without psi says the same."""
     study = held.problem.simulator.study
     found = held_out(held)
-    assert found.names == ("run_0", "run_1")
+    assert found.names == ("holdout_run_0", "holdout_run_1")
     both = held.problem.on(cut(study.holdout, None, held.problem.segments.columns))
     at, fixed = start_point(both, held.point.z), _FixedPsi(both, held.point.z)
     assert found.log_density.sum() == pytest.approx(dense_evidence(fixed, np.zeros(0), at.start), abs=1e-3)
@@ -146,7 +146,7 @@ def test_a_rollout_that_diverges_scores_nothing(held):
     found = evaluate(held, z, study.holdout)
     assert (found.chi2 == DIVERGED * found.num_values).all()  # finite, so that shares of it stay numbers
     assert (found.log_density == -0.5 * found.chi2).all()
-    assert np.isnan(found.rollouts["run_0"]).all()
+    assert np.isnan(found.rollouts["holdout_run_0"]).all()
 
 
 def test_without_holdout_each_recording_is_left_out_in_turn(tmp_path):

@@ -30,6 +30,13 @@ def test_it_fails_where_something_is_left_out(tmp_path):
     assert str(found.worst) in found.text() and "unexplained" in found.text()
 
 
+@pytest.mark.parametrize("wrong", [False, True])
+def test_a_model_without_unknowns(tmp_path, wrong):
+    problem = spring_problem(tmp_path, toml="", push=push if wrong else None)
+    assert problem.size == 0
+    assert check(fit(problem), 0).fails == wrong
+
+
 def test_a_left_out_recording_is_refitted_exactly(tmp_path):
     problem = spring_problem(tmp_path)
     full = fit(problem, tolerance=1e-5)

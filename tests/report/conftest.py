@@ -64,6 +64,10 @@ def _effect() -> dict[str, Any]:
         "probability": 0.97,
         "explains": 0.78,
         "recordings": "all",
+        "by_recording": [
+            {"recording": "swing_1", "explains": 0.81, "kind": "explained"},
+            {"recording": "swing_2", "explains": -0.2, "kind": "uncertain"},
+        ],
         "parameters": {"force": {"mean": 0.31, "sd": 0.01, "interval": [0.29, 0.33], "unit": "N m"}},
         "equivalent": [],
         "alternatives": [

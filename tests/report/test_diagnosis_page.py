@@ -39,6 +39,7 @@ SAYS = {
         "97 %",
         "10²¹⁰",
         "83 % less",
+        "uncertain",
         "Stribeck friction",
     ],
     "no_mismatch": ["No mismatch found", "43 explanations tried", "What could have been seen", "0.0042"],
