@@ -18,17 +18,15 @@ from det2stoc_bayes.mismatch.race import (
     Slot,
     gain,
     threshold,
-    tolerance,
 )
 from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without, without_each
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
-from det2stoc_bayes.optimize import Fit, fit_many
+from det2stoc_bayes.optimize import Fit
 
 MAX_EFFECTS = 3
 NUM_CROSSED = 3  # single additions, beside pairs, that other recordings decide between
 CLEARLY = 1.0  # nats by which a rival must be ahead to take an effect's place
 AHEAD = 5.0  # nats by which an effect may be ahead of a rival without further question
-MOST_ITERATIONS = 15  # of the winner of a race
 MAX_ROUNDS = 3  # explanations, each without what the last had in vain
 
 
@@ -122,18 +120,10 @@ def _grow(
         better = _better(slot, needed, first.base, looks)
         if better is None:
             return _prune(slot.base, needed)
-        better = _settled(extend(better))
+        better = extend(better)
         if len(better.problem.effects) >= MAX_EFFECTS or _enough(better, first.base):
             return _prune(better, needed)
         slot = looks.at(better, pool)
-
-
-def _settled(fit: Fit) -> Fit:
-    """The fit at its optimum: under a large misfit a race is won long before that."""
-    if fit.converged or fit.noise_inflation < MODEL_ERROR:
-        return fit
-    found = fit_many([(fit.problem, fit.point)], max_iterations=MOST_ITERATIONS, tolerance=tolerance(fit))[0]
-    return fit if found is None or found.chi2 > fit.chi2 else found
 
 
 def _better(slot: Slot, needed: float, believed: Fit, looks: Looks) -> Fit | None:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_evidence
 from det2stoc_bayes.mismatch.pairs import pairs, varied
 from det2stoc_bayes.mismatch.screen import Screened, screen
 from det2stoc_bayes.optimize import Fit, fit_many, sketch
@@ -19,6 +19,7 @@ NUM_OTHERS = 3
 NUM_PAIRS = 6
 PROMISING = 0.3  # of the best screened evidence: what earns less is not refined
 RACE = (10.0, 0.3, 50.0)  # how far behind the best sketch a candidate may be: nats, share of the gain, at most
+NUM_LEADERS, MOST_ITERATIONS = 2, 15  # that go on to their optimum while a misfit remains
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
 AT_WALL = 1e-6  # prior sds from where a positive parameter is absent
 SETTLED = 0.3  # nats that a further iteration may gain
@@ -80,12 +81,18 @@ def _refined(base: Fit, screened: Sequence[Screened], known: Sequence[Ranked], c
     fits = {r.placed: r.fit for r in known if r.placed in {s.placed for s in worth}}
     new = [s for s in worth if s.placed not in fits]
     progress("refining the best", 0, len(new))
-    found = race(base, [_added(base, s.change, [(s, s.coefficients)]) for s in new])
+    found = race(base, [_added(base, t.change, [(t, t.coefficients)]) for s in new for t in _starts(s)])
     progress("refining the best", len(new), len(new))
-    fits |= {f.problem.effects[-1]: f for f in found}
+    for f in sorted(found, key=lambda f: -f.chi2):  # of an effect's starts the best is kept
+        fits[f.problem.effects[-1]] = f
     share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
     ranked = [Ranked(placed, f, gain(base, f, share)) for placed, f in fits.items()]
     return Slot(base, tuple(screened), tuple(sorted(ranked, key=lambda r: -r.gain)))
+
+
+def _starts(s: Screened) -> list[Screened]:
+    """An effect's best trial, and the best that has other columns: where parameters multiply, they end apart."""
+    return [s, *[t for t in s.others if len(t.trial.columns) != len(s.trial.columns)][:1]]
 
 
 def _shortlist(worth: Sequence[Screened]) -> list[Screened]:
@@ -152,7 +159,19 @@ def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = 
     on = [(f.problem, f.point) for f in racing]
     further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
     better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None}
-    return [f for f in (better.get(id(f), f) for f in fits) if allowed(f, first)]
+    return _settled([f for f in (better.get(id(f), f) for f in fits) if allowed(f, first)], share, first)
+
+
+def _settled(fits: Sequence[Fit], share: float, first: int) -> list[Fit]:
+    """The leaders at their optima: under a large misfit a race is over long before that, and the slower one may win."""
+    leaders = sorted(fits, key=lambda f: -log_evidence(f, share))[:NUM_LEADERS]
+    slow = [f for f in leaders if not f.converged and f.noise_inflation >= MODEL_ERROR]
+    on = [(f.problem, f.point) for f in slow]
+    found = fit_many(on, max_iterations=MOST_ITERATIONS, tolerance=SETTLED / share) if slow else []
+    better = {
+        id(f): g for f, g in zip(slow, found, strict=True) if g is not None and g.chi2 <= f.chi2 and allowed(g, first)
+    }
+    return [better.get(id(f), f) for f in fits]
 
 
 def gain(base: Fit, fit: Fit, share: float) -> float:

@@ -84,16 +84,15 @@ class PayloadMass(BodyEffect):
         return {"mass": normal(0.2 * typical.inertia), "offset": normal(2 * typical.span)}
 
     def trials(self, typical):
-        """A small mass at the frame's origin, and what its first moment adds, for two reaches.
+        """A small mass at the frame's origin, and what its first moment adds, for two reaches; and one on each axis.
 
         In the mass's first order a column at an offset is mass + first moment + second moment.
         """
-        mass, mass_parameter = 0.002 * typical.inertia, self.parameters[1]
+        mass, (_, offset) = 0.002 * typical.inertia, self.parameters
+        near, far = (unit_columns(offset, reach * typical.span, mass=mass) for reach in (0.7, REACH))
+        opposite = unit_columns(offset, -REACH * typical.span, mass=mass)
         at_origin = {"mass": mass, "offset": (0.0, 0.0, 0.0)}
-        return [
-            Trial((at_origin, *unit_columns(mass_parameter, reach, mass=mass)))
-            for reach in (0.7 * typical.span, 2.5 * typical.span)
-        ]
+        return [Trial((at_origin, *near)), Trial((at_origin, *far)), *(Trial((c,)) for c in (*far, *opposite))]
 
     def combine(self, trial, coefficients, typical):
         """Masses add up, and so do first moments.
