@@ -22,7 +22,7 @@ def loaded(xml: str, mass: float, offset: tuple[float, float, float]) -> str:
 
 
 def test_a_payload_beside_an_uncertain_mass(tmp_path):
-    """Trials that combine columns put less mass in its place; from there mass and offset run off along their product."""
+    """Combined trials put less mass in its place; from there mass and offset run off along their product."""
     xml = model_xml(ARM)
     # The link weighs 0.6 kg.
     made = recordings(loaded(xml, 0.1, (0.22, 0.0, -0.08)), STARTS, 10 * np.arange(100), NOISE)
