@@ -2,7 +2,7 @@
 
 `load(folder)` reads a study, `check(study)` says what its recordings can identify, `fit(study)` gives the
 posterior, `export(study, posterior, folder, num_draws=100)` writes models with draws of it, `diagnose(study)` finds
-what the believed model leaves out. Every error that a user can act on is a `Det2StocError`.
+what the believed model leaves out. `learned_simulator(posterior)` is the stochastic simulator of an amortized method. Every error that a user can act on is a `Det2StocError`.
 """
 
 from importlib import import_module
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from det2stoc_bayes.identifiability import check
     from det2stoc_bayes.randomization import export
     from det2stoc_bayes.study import load_study as load
-    from det2stoc_bayes.verbs import diagnose, fit
+    from det2stoc_bayes.verbs import diagnose, fit, learned_simulator
 
 # Looked up at first use, so that `import det2stoc_bayes` and `det2stoc --help` wait for no library.
 _LAZY = {
@@ -29,6 +29,7 @@ _LAZY = {
     "diagnose": "det2stoc_bayes.verbs:diagnose",
     "export": "det2stoc_bayes.randomization:export",
     "fit": "det2stoc_bayes.verbs:fit",
+    "learned_simulator": "det2stoc_bayes.verbs:learned_simulator",
     "load": "det2stoc_bayes.study:load_study",
 }
 
@@ -43,6 +44,7 @@ __all__ = [
     "diagnose",
     "export",
     "fit",
+    "learned_simulator",
     "load",
 ]
 

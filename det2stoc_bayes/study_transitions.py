@@ -54,6 +54,22 @@ class StudyTransitions:
         return self.problem.segments.columns
 
     @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        """What an action consists of, in order."""
+        names = self.problem.simulator.study.names.actuators
+        commands = [f"ctrl/{name or i}" for i, name in enumerate(names)]
+        before = [f"{c} before" for c in commands] + [f"change of {c} before" for c in self.columns]
+        known = [f"known {i}" for i in range(self._known([self.problem.segments.recordings[0].name]).shape[1])]
+        steps = ["time step", *(["time step before"] if self.remembers else [])] if self.uneven else []
+        return (*commands, *(before if self.remembers else []), *known, *steps)
+
+    @cached_property
+    def seconds(self) -> float:
+        """From one state to the next; their mean where that is uneven."""
+        recordings = self.problem.segments.recordings
+        return float(np.concatenate([np.diff(r.time[:: self.every]) for r in recordings]).mean())
+
+    @cached_property
     def remembers(self) -> bool:
         """Whether a state says too little of the motion by itself: some speed was not recorded."""
         speeds = {c for c in self.problem.simulator.study.names.columns if c.startswith("qvel/")}

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray
 
+    from det2stoc_bayes.inference._stochastic import StochasticSimulator
+
     from det2stoc_bayes.mismatch.diagnose import Diagnosis
 
 
@@ -33,6 +35,16 @@ def fit(
         options["progress"] = lambda done, total: progress("sampling", done, total)
     problem = make_problem(Simulator(study, engine))
     return run(problem, seed, num_samples=num_samples, **options)
+
+
+def learned_simulator(fit: "xarray.DataTree") -> "StochasticSimulator":
+    """The stochastic simulator that `det2stoc` or `baseline_cvae` learned, from the tree that `fit` returned or saved.
+
+    `.sample(key, state, action)`, `.rollout`, `.save`; what states and actions consist of is in the group `simulator`.
+    """
+    from det2stoc_bayes.inference._predictive import learned
+
+    return learned(fit)
 
 
 def diagnose(

@@ -1,4 +1,4 @@
-"""How well a learned stochastic simulator tells transitions that it was not fitted to."""
+"""A learned stochastic simulator beside a fit: kept in it, and how well it tells transitions that it did not see."""
 
 from typing import Any
 
@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from det2stoc_bayes import metrics
+from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
+from det2stoc_bayes.posterior import DataTree
 from det2stoc_bayes.study_transitions import StudyTransitions
 from det2stoc_bayes.transitions import Transitions
 
@@ -67,3 +69,24 @@ def predictions(
         "num_transitions": (("heldout",), np.array([rows.sum() for rows in of])),
         "heldout": (("heldout",), np.array(names)),
     }
+
+
+def kept(simulator: StochasticSimulator, transitions: StudyTransitions) -> dict[str, tuple[tuple[str, ...], Any]]:
+    """A simulator as a group of a fit, with what its states and actions consist of."""
+    return {
+        "file": (("byte",), np.frombuffer(simulator.to_bytes(), np.uint8)),
+        "state": (("s",), np.array(transitions.columns)),
+        "action": (("a",), np.array(transitions.inputs, dtype=str)),
+        "seconds": ((), transitions.seconds),
+    }
+
+
+def learned(fit: DataTree) -> StochasticSimulator:
+    """The simulator that a method kept; a Det2StocError where it has none."""
+    try:
+        return StochasticSimulator.from_bytes(fit["simulator"]["file"].values.astype(np.uint8).tobytes())
+    except (KeyError, ValueError) as error:
+        method = fit.attrs.get("method", "no method")
+        raise Det2StocError(
+            f"a fit by {method} holds no learned simulator that this version reads; allowed: det2stoc, baseline_cvae"
+        ) from error

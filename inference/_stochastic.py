@@ -95,28 +95,40 @@ class StochasticSimulator:
 
     def save(self, path: Path) -> None:
         """One file: a line of JSON, then the networks."""
+        atomic_write(path, self.to_bytes())
+
+    @classmethod
+    def load(cls, path: Path) -> "StochasticSimulator":
+        """What `save` wrote."""
+        try:
+            return cls.from_bytes(path.read_bytes())
+        except (OSError, ValueError) as error:
+            raise Det2StocError(f"{path}: found no stochastic simulator; allowed: a file that save() wrote") from error
+
+    def to_bytes(self) -> bytes:
+        """What `from_bytes` reads."""
         buffer = io.BytesIO()
         units = {name: value.tolist() for name, value in asdict(self.scaling).items()}
         header = {"format": FORMAT, "decoder": self.decoder.sizes, "scaling": units}
         header |= {"rotations": self.rotations, "latent": self.latent and self.latent.to_json()}
         buffer.write((json.dumps(header) + "\n").encode())
         eqx.tree_serialise_leaves(buffer, self.decoder)
-        atomic_write(path, buffer.getvalue())
+        return buffer.getvalue()
 
     @classmethod
-    def load(cls, path: Path) -> "StochasticSimulator":
-        """What `save` wrote."""
+    def from_bytes(cls, content: bytes) -> "StochasticSimulator":
+        """What `to_bytes` made; a ValueError where it is something else."""
+        file = io.BytesIO(content)
         try:
-            with path.open("rb") as file:
-                header: dict[str, Any] = json.loads(file.readline())
-                if header["format"] != FORMAT:
-                    raise ValueError
-                decoder = eqx.tree_deserialise_leaves(file, decoder_of(header["decoder"]))
-                scaling = Scaling(**{name: np.asarray(v) for name, v in header["scaling"].items()})
-                latent = header["latent"] and LatentMixture.from_json(header["latent"])
-                return cls(decoder, scaling, tuple(header["rotations"]), latent)
-        except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
-            raise Det2StocError(f"{path}: found no stochastic simulator; allowed: a file that save() wrote") from error
+            header: dict[str, Any] = json.loads(file.readline())
+            if header["format"] != FORMAT:
+                raise ValueError(f"found {header['format']}; allowed: {FORMAT}")
+            decoder = eqx.tree_deserialise_leaves(file, decoder_of(header["decoder"]))
+            scaling = Scaling(**{name: np.asarray(v) for name, v in header["scaling"].items()})
+            latent = header["latent"] and LatentMixture.from_json(header["latent"])
+            return cls(decoder, scaling, tuple(header["rotations"]), latent)
+        except (KeyError, TypeError, RuntimeError) as error:
+            raise ValueError("found no stochastic simulator") from error
 
 
 def nearest_rotation(matrix: Float[np.ndarray, "*rows 3 3"]) -> Float[np.ndarray, "*rows 3 3"]:

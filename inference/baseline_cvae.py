@@ -5,9 +5,9 @@ import jax
 from det2stoc_bayes.errors import MethodNotApplicable
 from det2stoc_bayes.inference._amortized import Options, baseline
 from det2stoc_bayes.inference._cvae import Schedule
-from det2stoc_bayes.inference._predictive import heldout_transitions, predictions
+from det2stoc_bayes.inference._predictive import heldout_transitions, kept, predictions
 from det2stoc_bayes.inference._sampling import as_key, seed_of
-from det2stoc_bayes.posterior import DataTree, Progress, build_predictive, measured
+from det2stoc_bayes.posterior import DataTree, Progress, build_predictive, measured, with_groups
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.study_transitions import StudyTransitions
 
@@ -31,7 +31,7 @@ def fit(
         options = Options(baseline=Schedule(num_steps, batch=256, learning_rate=2e-3))
         num_latents = max(len(problem.simulator.parameters), 1)
         simulator, _ = baseline(real, num_latents, learn, options, lambda _, done, total: progress(done, total))
-        return build_predictive(
+        tree = build_predictive(
             problem,
             predictions(simulator, transitions, heldout, judge, num_samples),
             method="baseline_cvae",
@@ -39,3 +39,4 @@ def fit(
             seed=seed_of(key),
             cost=cost,
         )
+    return with_groups(tree, simulator=kept(simulator, transitions))

@@ -12,7 +12,7 @@ import numpy as np
 
 from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.inference._amortized import Iteration, Options, Population, iterate
-from det2stoc_bayes.inference._predictive import heldout_transitions, predictions
+from det2stoc_bayes.inference._predictive import heldout_transitions, kept, predictions
 from det2stoc_bayes.inference._sampling import as_key, density_of, numpy_random, per_chain, seed_of
 from det2stoc_bayes.inference._surrogate import Surrogate
 from det2stoc_bayes.posterior import DataTree, Progress, build, measured, with_groups
@@ -37,6 +37,8 @@ def fit(
     progress: Progress = lambda *_: None,
 ) -> DataTree:
     """Draws of psi under the learned likelihood; group `turns`: what each turn of the algorithm inferred.
+
+    Group `simulator`: the stochastic simulator of the last turn (`learned_simulator` reads it).
 
     `num_simulated` stretches of recordings are simulated a turn, `num_steps` steps train a turn's decoder.
     """
@@ -72,8 +74,10 @@ def fit(
             sample_stats={"diverging": stats["diverging"], "log_weight": terms.sum(-1) - learned},
             log_likelihood=terms,
         )
-        told = predictions(turns[-1].predictive, transitions, heldout, judge)
-    return with_groups(tree, turns=_told(density.problem, turns), predictions=told)
+        simulator = turns[-1].predictive
+        told = predictions(simulator, transitions, heldout, judge)
+    turned = _told(density.problem, turns)
+    return with_groups(tree, turns=turned, predictions=told, simulator=kept(simulator, transitions))
 
 
 def _turns(

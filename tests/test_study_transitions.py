@@ -34,7 +34,8 @@ def test_states_and_changes_are_those_recorded(tmp_path):
     found = StudyTransitions.of(problem)
     rows = found.recorded()
     assert found.every == 1 and not found.remembers and not found.uneven
-    assert rows.action.shape == (180, 0)
+    assert rows.action.shape == (180, 0) and found.inputs == ()
+    assert found.seconds == pytest.approx(10 * problem.simulator.model.opt.timestep)
     for r, record in enumerate(problem.segments.recordings):
         mine = rows.episode == r
         np.testing.assert_array_equal(rows.state[mine], record.values[:-1])
@@ -49,6 +50,7 @@ def test_a_long_recording_is_thinned_and_commands_are_averaged(tmp_path):
     rows = found.recorded()
     dt = 2 * problem.simulator.model.opt.timestep
     np.testing.assert_allclose(rows.change[:, 1], rows.action[:, 0] * dt / 2.0, atol=1e-9)
+    assert found.inputs == ("ctrl/push",)
     assert len(np.unique(rows.action)) > 4  # means of two commands are among them
 
 
@@ -65,7 +67,9 @@ def test_positions_alone_carry_the_step_before(tmp_path):
 
 def test_positions_at_uneven_times_carry_both_steps(tmp_path):
     problem = spring(tmp_path, columns=["qpos/slide"], steps=np.cumsum(np.tile([7, 10, 13], 21)) - 7)
-    rows = StudyTransitions.of(problem).recorded()
+    found = StudyTransitions.of(problem)
+    rows = found.recorded()
+    assert found.inputs == ("change of qpos/slide before", "time step", "time step before")
     time = problem.segments.recordings[0].time
     first = rows.episode == 0
     np.testing.assert_allclose(rows.action[first, 1], np.diff(time)[1:])
@@ -104,8 +108,9 @@ def test_nothing_in_succession_is_an_error(tmp_path):
 
 def test_what_is_known_of_recordings_is_an_input(tmp_path):
     known = '[known.run_1]\n"body/block/mass" = 2.5\n'
-    rows = StudyTransitions.of(spring(tmp_path, toml=known)).recorded()
-    assert rows.action.shape[1] == 1
+    found = StudyTransitions.of(spring(tmp_path, toml=known))
+    rows = found.recorded()
+    assert rows.action.shape[1] == 1 and found.inputs == ("known 0",)
     np.testing.assert_array_equal(rows.action[:, 0], np.where(rows.episode == 1, 2.5, 1.2))
 
 

@@ -10,7 +10,8 @@ from conftest import make_study, model_xml
 from scipy.linalg import expm
 from simulated import SPRING, SPRING_PSI, add_holdout, noise_table, pose, recordings
 
-from det2stoc_bayes.errors import MethodNotApplicable
+from det2stoc_bayes import learned_simulator
+from det2stoc_bayes.errors import Det2StocError, MethodNotApplicable
 from det2stoc_bayes.inference import baseline_cvae, det2stoc
 from det2stoc_bayes.inference._amortized import Population, _split
 from det2stoc_bayes.inference._cvae import Cvae, standard_normal
@@ -138,6 +139,27 @@ def test_what_is_returned(problem, fitted, tmp_path):
     assert [t.recording for t in told] == ["holdout_run_0", "holdout_run_1"] and told[0].num_transitions == 60
     save(fitted, tmp_path / "fit.nc")
     assert load(tmp_path / "fit.nc").identical(fitted)
+
+
+def test_a_fit_keeps_its_simulator(problem, fitted, baseline, tmp_path):
+    """Its free rollouts follow a held-out recording."""
+    save(fitted, tmp_path / "fit.nc")
+    tree = load(tmp_path / "fit.nc")
+    transitions = StudyTransitions.of(problem)
+    assert tree.simulator.state.values.tolist() == list(transitions.columns)
+    recorded = transitions.recorded(problem.simulator.study.holdout)
+    assert tree.simulator.action.shape == (recorded.action.shape[1],)
+    assert float(tree.simulator.seconds) == pytest.approx(10 * problem.simulator.model.opt.timestep)
+    first = recorded.state[recorded.episode == 0]
+    actions = np.zeros((200, 20, recorded.action.shape[1]))
+    rollouts = learned_simulator(tree).rollout(jax.random.key(0), np.tile(first[:1], (200, 1)), actions)
+    error = rollouts.mean(0)[:20] - first[:20]
+    assert (np.abs(error) < 0.05 * np.ptp(first, axis=0)).all()  # measured: 0.009
+    assert learned_simulator(baseline).decoder.latents == 2
+    with pytest.raises(Det2StocError, match="a fit by nuts holds no learned simulator .* allowed: det2stoc, baseline"):
+        other = tree.drop_nodes("simulator")
+        other.attrs["method"] = "nuts"
+        learned_simulator(other)
 
 
 def test_held_out_transitions_are_told_as_well_as_they_can_be(problem, fitted):
