@@ -2,7 +2,8 @@
 
 `load(folder)` reads a study, `check(study)` says what its recordings can identify, `fit(study)` gives the
 posterior, `export(study, posterior, folder, num_draws=100)` writes models with draws of it, `diagnose(study)` finds
-what the believed model leaves out. `learned_simulator(posterior)` is the stochastic simulator of an amortized method. Every error that a user can act on is a `Det2StocError`.
+what the believed model leaves out. `learned_simulator(posterior)` is the stochastic simulator that an amortized
+method learned. Every error that a user can act on is a `Det2StocError`.
 """
 
 from importlib import import_module

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     import xarray
 
     from det2stoc_bayes.inference._stochastic import StochasticSimulator
-
     from det2stoc_bayes.mismatch.diagnose import Diagnosis
 
 
