@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.allowed_values import NOT_NEGATIVE, check_value
 from det2stoc_bayes.engines.model_names import (
     KINDS,
     REFUSED,
@@ -189,10 +190,6 @@ def _measurement(table: LikelihoodTable, source: str) -> Measurement:
     return Measurement()
 
 
-# Fields that a simulation needs to be 0 or more.
-NOT_NEGATIVE = frozenset(
-    ["mass", "inertia", "damping", "armature", "frictionloss", "friction", "size", "density", "viscosity"]
-)
 UNLIKELY = -3.0902  # standard normal quantile of 0.1 %
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _RESERVED = ("chain", "draw", "recording", "time")  # dimensions of the results
@@ -287,8 +284,7 @@ def _known(
         if value.shape != shape and not (shape == () and value.shape == (1,)):
             allowed = f"a list of {shape[0]} numbers" if shape else "one number"
             raise StudyError(f"{key}: found {given}; allowed: {allowed}")
-        if target.field in NOT_NEGATIVE and (value < 0).any():
-            raise StudyError(f"{key}: found {given}; allowed: 0 or more, since {target} is never negative")
+        check_value(target.kind, target.field, value, key)
         value = value.reshape(shape)
         value.setflags(write=False)
         known[target] = value

@@ -55,7 +55,7 @@ def read_toml(folder: Path) -> tuple[str, StudyFile]:
     if len(there) > 1:
         warnings.warn(f"{there[1]} is not read, since there is a {source}", StudyWarning, stacklevel=3)
     try:
-        content = tomllib.loads(inside(folder, source, folder.name).read_text(encoding="utf-8"))
+        content = tomllib.loads(inside(folder, source, folder.name).read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise StudyError(f"{source}: {error}; allowed: TOML (names with a slash are quoted)") from error
     try:
@@ -78,6 +78,8 @@ def _first_problem(error: ValidationError) -> str:
         return f"{key}: missing; found {listing(found)}; allowed: {listing(PsiTable.model_fields)}{more}"
     allowed = {"known": "a finite number, or a list of them", "noise": "a finite number above 0"}.get(path[0])
     allowed = allowed or first["msg"].removeprefix("Input should be ")
+    for python, toml in (("a valid dictionary", "a table"), ("a valid string", "a text in quotes")):
+        allowed = allowed.replace(python, toml)
     return f"{key}: found {str(found)[:60]!r}; allowed: {allowed}{more}"
 
 

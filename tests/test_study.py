@@ -159,8 +159,8 @@ MISTAKES = {  # study.toml, what the message names, what it allows
         "did you mean 'prior'? allowed: target, prior",
     ),
     "no target": (psi(target=""), "psi.mu.target: missing", "target, prior, index, varies"),
-    "psi as number": ("psi = 3", "psi: found '3'", "valid dictionary"),
-    "target as number": (psi(target="3"), "psi.mu.target: found '3'", "valid string"),
+    "psi as number": ("psi = 3", "psi: found '3'", "allowed: a table"),
+    "target as number": (psi(target="3"), "psi.mu.target: found '3'", "allowed: a text in quotes"),
     "short target": (psi(target='"friction"'), "psi.mu.target: found 'friction'", "kind/name/field"),
     "opt with name": (psi(target='"opt/x/gravity"'), "found 'opt/x/gravity'", "opt/field"),
     "kind": (psi(target='"pear/floor_box/friction"'), "'pear/floor_box/friction'", "kind body, joint, geom"),
@@ -221,6 +221,8 @@ MISTAKES = {  # study.toml, what the message names, what it allows
     "known length": ("[known.b]\n'geom/box/size' = [1, 2]", "found [1.0, 2.0]", "a list of 3 numbers"),
     "known vector": ("[known.b]\n'body/tip/mass' = [1, 2]", "found [1.0, 2.0]", "one number"),
     "known text": ("[known.b]\n'body/tip/mass' = '1'", "known.b.body/tip/mass: found '1'", "a finite number"),
+    "known massless": ("[known.b]\n'body/tip/mass' = 0.0", "found 0", "more than 0, since a body has some mass"),
+    "known direction": ("[known.b]\n'body/tip/quat' = [2, 0, 0, 0]", "of length 2", "allowed: length 1"),
     "known infinite": ("[known.b]\n'body/tip/mass' = inf", "found 'inf'", "a finite number"),
     "no recordings": ("recordings = 'rec/*.csv'", "no file matches 'rec/*.csv'", "one or more"),
     "parent": ("recordings = '../other/*.csv'", "found '../other/*.csv'", "within the study's folder"),
@@ -253,6 +255,12 @@ def test_folders_without_a_study(folder: Path):
     assert "allowed: a folder with study.toml" in refusal(folder / "absent")
     assert "a file; allowed: a folder with study.toml" in refusal(folder / "study.toml")
     assert "found neither study.toml nor psi.toml but a.csv, b.csv" in refusal(folder / "recordings")
+
+
+def test_a_byte_order_mark_is_no_mistake(folder: Path):
+    text = (folder / "study.toml").read_text("utf-8")
+    (folder / "study.toml").write_text(text, encoding="utf-8-sig")
+    assert load_study(folder).recordings
 
 
 def test_stems_name_one_recording(folder: Path):
@@ -369,6 +377,17 @@ def test_a_clock_that_is_not_in_seconds(folder: Path):
     assert "recordings/a.csv: column time: found 1e+09 s" in refusal(folder)
     rewritten(lambda i, t: 1000 * t)
     with pytest.warns(StudyWarning, match=r"a.csv: column time: a sample every .* \(is it in seconds\?\)"):
+        load_study(folder)
+
+
+@pytest.mark.filterwarnings("ignore::det2stoc_bayes.recording.StudyWarning")
+def test_steps_longer_than_the_recording(folder: Path):
+    (folder / "model.xml").write_text(MODEL.replace("<worldbody>", '<option timestep="2.5"/><worldbody>', 1))
+    assert "recordings/a.csv: column time: found 1 s, less than one of the model's steps (2.5 s)" in refusal(folder)
+    rows = "".join(f"{t},0,1,2\n" for t in range(5))
+    for path in (folder / "recordings").iterdir():
+        path.write_text(CSV.split("\n")[0] + "\n" + rows)
+    with pytest.warns(StudyWarning, match=r"a sample every 1 s, but the model's timestep is 2.5 s"):
         load_study(folder)
 
 

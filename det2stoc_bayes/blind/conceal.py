@@ -29,6 +29,7 @@ from det2stoc_bayes.blind.variants import VARIANTS, Setting, choose, possible
 from det2stoc_bayes.engines.quiet import QUIET
 
 ATTEMPTS = 6  # draws of a system, psi and experiments
+FEWEST_SAMPLES = 20
 DRAWS = 4  # of effects for each of them
 
 
@@ -73,6 +74,9 @@ def make_case(
             raise ValueError(f"{given!r} is not known; there are {', '.join(known)}")
     if INTEGRATION in (effect, second) and (pair or second):
         raise ValueError(f"{INTEGRATION} is concealed alone")
+    if num_recordings < 1 or num_samples < FEWEST_SAMPLES:
+        found = f"{num_recordings} recordings of {num_samples} samples"
+        raise ValueError(f"{found}; allowed: 1 or more, of {FEWEST_SAMPLES} or more")
     if size is not None and not SMALLEST <= size <= LARGEST:
         raise ValueError(f"size {size:g}; allowed: {SMALLEST:g} to {LARGEST:g} noise sds")
     rng = np.random.default_rng([seed, 20261])
@@ -180,6 +184,9 @@ def main(arguments: list[str] | None = None) -> int:
         )
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
+        return 2
+    if a.out.exists() and (not a.out.is_dir() or any(a.out.iterdir())):
+        print(f"error: --out {a.out}: is there already; allowed: a new name, or an empty folder", file=sys.stderr)
         return 2
     case.write(a.out)
     if a.reveal:

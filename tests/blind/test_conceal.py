@@ -176,3 +176,9 @@ def test_command_reveals_only_on_request(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["effects"][0]["name"] == "constant_force"
     assert main(["--seed", "4", "--size", "99", "--out", str(tmp_path / "c")]) == 2
     assert "3 to 30" in capsys.readouterr().err and not (tmp_path / "c").exists()
+    assert main([*arguments, "--recordings", "0", "--out", str(tmp_path / "c")]) == 2
+    assert "found" not in capsys.readouterr().out and not (tmp_path / "c").exists()
+    before = {p.name for p in (tmp_path / "a").iterdir()}
+    assert main(["--seed", "5", "--system", "ball", "--out", str(tmp_path / "a")]) == 2
+    assert "allowed: a new name" in capsys.readouterr().err
+    assert {p.name for p in (tmp_path / "a").iterdir()} == before
