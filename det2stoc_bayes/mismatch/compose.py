@@ -155,6 +155,7 @@ class Composer:
             rollout_rmse_after=dict(zip(columns, after.rmse.tolist(), strict=True)),
             rollout_rmse_noise=dict(zip(columns, problem.noise.tolist(), strict=True)),
             unexplained_share=float(min(left, 1.0)),
+            heldout_chose=self.judged.found.others_chose and bool(self.study.holdout),
         )
 
     def _psi(self) -> dict[str, finding.PsiChange]:

@@ -39,6 +39,7 @@ class Explanation:
     slots: tuple[Slot, ...]
     num_candidates: int
     share: float  # independent samples per sample
+    others_chose: bool = False  # recordings that were not fitted decided between additions
 
 
 def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None) -> Explanation:
@@ -68,12 +69,12 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         if own is not None:  # a later effect, left alone once the first was dropped, may not be there
             slot = _with_rivals(first, own)
             after = slot.ranked[0].fit if _ahead(slot.ranked[0], own) else grown
-            return Explanation(before, after, (slot,), count, effective_share(after))
+            return Explanation(before, after, (slot,), count, effective_share(after), looks.others_chose)
     if len(grown.problem.effects) == 1:
         own = grown.problem.effects[0]
         pool, lean = _promising(first, own) or pool, {own: bare}
     grown, slots = _judged(grown, lean, pool, looks)
-    return Explanation(bare, grown, slots, count, effective_share(grown))
+    return Explanation(bare, grown, slots, count, effective_share(grown), looks.others_chose)
 
 
 def _promising(slot: Slot, own: PlacedEffect) -> list[PlacedEffect]:
@@ -145,6 +146,7 @@ def _better(slot: Slot, needed: float, believed: Fit, looks: Looks) -> Fit | Non
             if _earns(f, [single[e] for e in f.problem.effects[-2:] if e in single] + alone[:1], base, needed):
                 return f
         return next(iter(alone), None)
+    looks.others_chose = True
     price = NEGLIGIBLE * untold(believed)
     first = len(base.problem.effects)
     scores = [untold(f) + price * (len(f.problem.effects) - first) for f in (base, *contenders)]

@@ -15,6 +15,7 @@ class Looks:
 
     def __init__(self, progress: Progress):
         self.progress = progress
+        self.others_chose = False  # recordings that were not fitted decided between additions
         self._slots: dict[Hypothesis, tuple[frozenset[PlacedEffect], Slot]] = {}
         self._pairs: dict[Hypothesis, dict[frozenset[PlacedEffect], Fit | None]] = {}
 

@@ -41,6 +41,7 @@ def test_one_effect_is_added_and_no_more(drag):
     assert found.before is drag and len(found.slots) == 1 and found.num_candidates == 5
     assert found.slots[0].ranked[0].gain > 40  # measured: 62 nats
     assert ("screening effects", 5, 5) in told
+    assert not found.others_chose
 
 
 def test_where_nothing_is_left_out_nothing_is_added(tmp_path):
@@ -78,7 +79,8 @@ def test_under_a_misfit_beyond_the_noise_other_recordings_decide(drag, monkeypat
     for scores, chosen in (((3, 2, 5), less_wrong), ((2, 3, 5), wrong), ((4.9, 7, 5), None)):
         of = dict(zip(map(id, (wrong, less_wrong, base)), scores, strict=True))
         monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
-        assert module._better(slot, 10.0, base, NO_LOOKS) is chosen
+        search = looks.Looks(lambda *_: None)
+        assert module._better(slot, 10.0, base, search) is chosen and search.others_chose
 
 
 def test_recordings_that_were_left_out_are_told_by_the_right_effect(tmp_path):

@@ -88,6 +88,7 @@ def _fit_numbers() -> dict[str, Any]:
         "rollout_rmse_after": dict(zip(CHANNELS, (0.0021, 0.009, 0.0202, 0.052), strict=True)),
         "rollout_rmse_noise": dict(zip(CHANNELS, NOISE.tolist(), strict=True)),
         "unexplained_share": 0.03,
+        "heldout_chose": True,
     }
 
 

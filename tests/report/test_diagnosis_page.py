@@ -41,6 +41,7 @@ SAYS = {
         "83 % less",
         "uncertain",
         "Stribeck friction",
+        "held-out recordings also chose between the best additions",
     ],
     "no_mismatch": ["No mismatch found", "43 explanations tried", "What could have been seen", "0.0042"],
     "inconclusive": [
