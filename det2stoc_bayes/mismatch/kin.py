@@ -17,6 +17,7 @@ from det2stoc_bayes.problem import Problem
 
 KIN = 0.98  # share of an effect's squared response that a rival's columns take up
 AKIN = 0.9  # that is enough where the effect leaves more than chance
+RELATED = 0.7  # and beside other effects: without this one they may be anywhere, as may rivals that start from there
 MOST = 4  # rivals that start anew
 
 
@@ -45,7 +46,7 @@ def _starts(slot: Slot, own: Ranked) -> list[tuple[PlacedEffect, tuple[Problem, 
     if mine is None or mine.response is None:
         return []
     wanted = (mine.response @ mine.coefficients).ravel()
-    least, found = KIN if by_chance(own.fit) else AKIN, []
+    least, found = RELATED if slot.base.problem.effects else KIN if by_chance(own.fit) else AKIN, []
     for s in slot.screened:
         if s.placed != own.placed:
             share, trial, coefficients = max((_matched(t, wanted) for t in (s, *s.others)), key=lambda m: m[0])

@@ -7,6 +7,7 @@ import pytest
 from simulated import fit, place, spring_problem
 
 from det2stoc_bayes.linearization import Point
+from det2stoc_bayes.mismatch import kin
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_evidence
 from det2stoc_bayes.mismatch.kin import with_kin
@@ -48,3 +49,19 @@ def test_a_rival_of_the_same_response_gets_as_far(drag):
 def test_without_a_response_nothing_is_kin(drag):
     bare = replace(drag, screened=tuple(replace(s, response=None, others=()) for s in drag.screened))
     assert with_kin(bare, drag.ranked[0]) is bare
+
+
+def test_beside_another_effect_distant_rivals_start_from_there_as_well(drag):
+    """Dry friction predicts 94 % of what quadratic damping does; alone, that is not enough to try it again."""
+    problem = drag.base.problem
+    bias, own, rival = (
+        place(problem, n, "slide", SMALL) for n in ("constant_force", "quadratic_damping", "coulomb_friction")
+    )
+    for beside, expected in (((), []), ((bias,), [rival])):
+        base, best = (fit(problem.with_effects(e)) for e in (beside, [*beside, own]))
+        ranked = Ranked(own, best, log_evidence(best) - log_evidence(base))
+        slot = Slot(base, tuple(screen(base, [own, rival])), (ranked,))
+        starts = kin._starts(slot, ranked)
+        assert [placed for placed, _ in starts] == expected
+        for _, (_, point) in starts:  # everything else stays where it is
+            np.testing.assert_array_equal(point.z[: base.problem.size], best.point.z[: base.problem.size])
