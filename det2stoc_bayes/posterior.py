@@ -37,6 +37,7 @@ PACKAGES = (
     "xarray",
 )
 GROUPS = ("posterior", "unconstrained_posterior", "sample_stats", "observed_data", "log_likelihood")
+LEAST_WEIGHED = 100  # draws: the tail of fewer weights says nothing
 ALARM = 0.5  # probability that psi lies beyond what was simulated
 PREDICTIVE = ("observed_data", "predictions")  # groups of a method that infers no psi
 ATTRIBUTES = (
@@ -172,7 +173,7 @@ def beyond_prior(tree: xr.DataTree) -> str:
     if "turns" not in tree.children:
         return ""
     first, *_, last = (float(p) for p in tree["turns"].to_dataset()["alarm"].values[[0, -1]])
-    if first > ALARM:
+    if min(first, last) > ALARM:
         return (
             f"with probability {first:.2g} psi lies beyond all that was simulated under its prior: the prior excludes "
             "it, or the model cannot move as the recordings do"
@@ -193,12 +194,14 @@ def unreliable(tree: xr.DataTree) -> str:
     if "sample_stats" not in tree.children or "log_weight" not in tree["sample_stats"]:
         return ""
     weights = np.asarray(tree["sample_stats"]["log_weight"].values, float).ravel()
+    if len(weights) < LEAST_WEIGHED:
+        return ""
     k_hat, most = smooth(weights)[1], reliable(len(weights))
     if k_hat < most:
         return ""
     return (
         f"importance weights of the draws by the exact likelihood have a k-hat of {k_hat:.2g} (reliable below "
-        f"{most:.2g}): the draws are not those of the exact posterior; nuts, smc or emcee sample it"
+        f"{most:.2g}): the draws may not be those of the exact posterior; nuts, smc or emcee sample it"
     )
 
 

@@ -3,6 +3,7 @@
 import csv
 import io
 import os
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from det2stoc_bayes.study import Study
 from det2stoc_bayes.unknowns import of_population
 
 TABLE = "psi.csv"
+_MODEL = re.compile(r"model_\d+\.xml")
 
 
 def draw_psi(
@@ -99,10 +101,21 @@ def export(
     writer.writerow(["model", *names] if models else names)
     for name, row in zip(files, psi, strict=True):
         writer.writerow([*([name] if models else []), *(repr(float(v)) for v in row)])
-    (folder / TABLE).unlink(missing_ok=True)  # of an earlier export, whose models go
-    for path in {*folder.glob("model_*.xml")} - set(texts):
-        path.unlink()
+    earlier = _models_of(folder / TABLE)
+    (folder / TABLE).unlink(missing_ok=True)
     for path, content in texts.items():
         atomic_write(path, content)
+    for path in earlier - set(texts):
+        path.unlink(missing_ok=True)
     atomic_write(folder / TABLE, text.getvalue())  # last: where it is, all is
     return [*texts, folder / TABLE]
+
+
+def _models_of(table: Path) -> set[Path]:
+    """The models that an earlier export wrote, by its table; nothing else in the folder is its own."""
+    try:
+        with table.open(encoding="utf-8", newline="") as file:
+            named = {row.get("model") or "" for row in csv.DictReader(file)}
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return set()
+    return {table.parent / name for name in named if _MODEL.fullmatch(name)}

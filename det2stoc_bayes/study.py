@@ -118,11 +118,12 @@ def load_study(folder: Path) -> Study:
 
 def _apart(holdout: tuple[Recording, ...], fitted: set[str]) -> tuple[Recording, ...]:
     """Held-out recordings under names that no fitted one has: results go by names."""
-    own, out = {r.name for r in holdout}, []
+    taken, out = {*fitted, *(r.name for r in holdout)}, []
     for r in holdout:
         name = r.name
-        while name in fitted or (name != r.name and name in own):
+        while name in fitted or (name != r.name and name in taken):
             name = f"holdout_{name}"
+        taken.add(name)
         out.append(r if name == r.name else replace(r, name=name))
     return tuple(out)
 

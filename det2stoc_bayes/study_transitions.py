@@ -130,6 +130,7 @@ class StudyTransitions:
                 f"{(~whole).mean():.0%} of the simulations to learn from diverge (there: {ranges}); "
                 f"allowed: at most {1 - LEAST_WHOLE:.0%}, by narrower priors or a finer timestep"
             )
+        predicted = np.where(whole[:, None, None], predicted, np.nan)  # what led there is no ordinary motion either
         recorded = predicted + problem.noise * random.standard_normal(predicted.shape)
         recorded = align_quaternions(recorded, segments.values[which], problem.quaternions)
         for group in problem.quaternions:  # those that were read have unit length

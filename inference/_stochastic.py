@@ -127,7 +127,7 @@ class StochasticSimulator:
             scaling = Scaling(**{name: np.asarray(v) for name, v in header["scaling"].items()})
             latent = header["latent"] and LatentMixture.from_json(header["latent"])
             return cls(decoder, scaling, tuple(header["rotations"]), latent)
-        except (KeyError, TypeError, RuntimeError) as error:
+        except (KeyError, TypeError, AttributeError, EOFError, RuntimeError) as error:
             raise ValueError("found no stochastic simulator") from error
 
 

@@ -63,6 +63,10 @@ def test_models_say_what_the_table_says(study, tmp_path):
         model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / row["model"]))
         assert model.body("arm").mass[0] == pytest.approx(float(row["mass"]), rel=1e-9)
         assert model.joint("hinge").damping[0] == pytest.approx(float(row["loss"]), rel=1e-9)
+    (tmp_path / "out" / "model_arm.xml").write_text("another's")
+    fewer = export(study, tree, tmp_path / "out", num_draws=3, seed=3)  # takes away what the last one wrote
+    left = {p.name for p in (tmp_path / "out").iterdir()}
+    assert left == {p.name for p in fewer} | {"model_arm.xml"}
     again = export(study, tree, tmp_path / "again", num_draws=12, seed=3, models=False)
     assert [p.name for p in again] == ["psi.csv"]
     alone = list(csv.DictReader(again[0].open()))

@@ -271,6 +271,13 @@ def test_stems_name_one_recording(folder: Path):
     with pytest.warns(StudyWarning, match="holdout_b: the same samples as"):
         study = load_study(folder)
     assert [r.name for r in study.holdout] == ["holdout_b"]  # results go by names
+    for held_out in (False, True):  # a name that a fitted one has takes another
+        (folder / ("holdout" if held_out else "recordings") / "holdout_b.csv").write_text(CSV.replace("1,1,2", "1,1,3"))
+    with pytest.warns(StudyWarning, match="the same samples"):
+        study = load_study(folder)
+    assert sorted(r.name for r in study.holdout) == ["holdout_holdout_b", "holdout_holdout_holdout_b"]
+    (folder / "recordings" / "holdout_b.csv").unlink()
+    (folder / "holdout" / "holdout_b.csv").unlink()
     (folder / "study.toml").write_text("recordings = '**/*.csv'\nholdout = ''")
     assert "holdout: found ''" in refusal(folder)
     (folder / "study.toml").write_text("recordings = '**/b.csv'\nholdout = 'recordings/a.csv'")

@@ -12,6 +12,7 @@ from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.kin import with_kin
 from det2stoc_bayes.mismatch.looks import Looks
 from det2stoc_bayes.mismatch.race import (
+    NUM_PAIRS,
     PROMISING,
     Progress,
     Ranked,
@@ -25,7 +26,9 @@ from det2stoc_bayes.optimize import Fit
 
 MAX_EFFECTS = 3
 NUM_CROSSED = 3  # single additions, beside pairs, that other recordings decide between
+NUM_WIDE = 24  # pairs where the few best leave a misfit beyond the noise as it is
 CLEARLY = 1.0  # nats by which a rival must be ahead to take an effect's place
+INDISPENSABLE = 100.0  # nats of an effect without which nothing can be simulated
 AHEAD = 5.0  # nats by which an effect may be ahead of a rival without further question
 MAX_ROUNDS = 3  # explanations, each without what the last had in vain
 
@@ -54,6 +57,7 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         kept, lean, useless = _without_useless(before, grown, lean)
         if not useless:
             break
+        looks.others_chose = True
         pool = [c for c in pool if c not in useless]
         first = looks.at(before, pool)
         grown, again = _grow(first, pool, threshold(count), looks)
@@ -69,12 +73,19 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         if own is not None:  # a later effect, left alone once the first was dropped, may not be there
             slot = _with_rivals(first, own)
             after = slot.ranked[0].fit if _ahead(slot.ranked[0], own) else grown
-            return Explanation(before, after, (slot,), count, effective_share(after), looks.others_chose)
+            return Explanation(
+                before, after, (slot,), count, effective_share(after), looks.others_chose or _misses(after)
+            )
     if len(grown.problem.effects) == 1:
         own = grown.problem.effects[0]
         pool, lean = _promising(first, own) or pool, {own: bare}
     grown, slots = _judged(grown, lean, pool, looks)
-    return Explanation(bare, grown, slots, count, effective_share(grown), looks.others_chose)
+    return Explanation(bare, grown, slots, count, effective_share(grown), looks.others_chose or _misses(grown))
+
+
+def _misses(fit: Fit) -> bool:
+    """Whether a misfit beyond the noise stays, so that rivals are judged by recordings that were not fitted."""
+    return fit.noise_inflation >= MODEL_ERROR and others_exist(fit)
 
 
 def _promising(slot: Slot, own: PlacedEffect) -> list[PlacedEffect]:
@@ -128,7 +139,16 @@ def _grow(
 
 
 def _better(slot: Slot, needed: float, believed: Fit, looks: Looks) -> Fit | None:
-    """The next step: the addition, or the two, with most evidence; None where nothing earns its place.
+    """The next step; None where nothing earns its place. More pairs are tried before a misfit is called unexplained."""
+    base = slot.base
+    found = _best_of(slot, needed, believed, looks, NUM_PAIRS)
+    if found is None and not base.problem.effects and base.noise_inflation >= MODEL_ERROR:
+        return _best_of(slot, needed, believed, looks, NUM_WIDE)
+    return found
+
+
+def _best_of(slot: Slot, needed: float, believed: Fit, looks: Looks, num_pairs: int) -> Fit | None:
+    """The addition, or the two, with most evidence; None where nothing earns its place.
 
     While all contenders leave a misfit beyond the noise, evidence favours what bends to the fitted recordings. Then the
     one is taken that tells others best; each addition must explain a share of the believed model's misfit there.
@@ -137,7 +157,7 @@ def _better(slot: Slot, needed: float, believed: Fit, looks: Looks) -> Fit | Non
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
     least = needed + max([0.0, *(s.log_evidence for s in slot.screened[:1])])
     room = len(base.problem.effects) + 2 <= MAX_EFFECTS and not (alone and _enough(alone[0], believed))
-    both = looks.pairs(base, slot.screened, least) if room else []
+    both = looks.pairs(base, slot.screened, least, num_pairs) if room else []
     contenders = [*both, *alone[:NUM_CROSSED]]
     if not contenders:
         return None
@@ -204,12 +224,16 @@ def _earns(both: Fit, alone: Sequence[Fit], base: Fit, needed: float) -> bool:
 
 
 def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], looks: Looks) -> Slot:
-    """What could stand in place i of the list, the other effects staying; the present one competes too."""
-    slot = looks.at(base or without(final, i) or final, pool)
-    base = slot.base
-    own = Ranked(final.problem.effects[i], reordered(final, i), 0.0)
-    own = replace(own, gain=gain(base, own.fit, effective_share(final)))
-    return _with_rivals(slot, own)
+    """What could stand in place i of the list, the other effects staying; the present one competes too.
+
+    Alone where no simulation follows the recordings without it: its slot's base is then the fit that has it.
+    """
+    own = Ranked(final.problem.effects[i], reordered(final, i), INDISPENSABLE)
+    base = base or without(final, i)
+    if base is None:
+        return Slot(final, (), (own,))
+    slot = looks.at(base, pool)
+    return _with_rivals(slot, replace(own, gain=gain(slot.base, own.fit, effective_share(final))))
 
 
 def _with_rivals(slot: Slot, own: Ranked) -> Slot:

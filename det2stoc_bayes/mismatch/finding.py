@@ -166,7 +166,7 @@ class Fit(Entry):
     rollout_rmse_after: dict[str, Number]
     rollout_rmse_noise: dict[str, Number]
     unexplained_share: Share | None
-    heldout_chose: bool = Field(default=False, description="held-out recordings chose between the best additions, too")
+    heldout_chose: bool = Field(default=False, description="held-out recordings also decided between explanations")
 
 
 class Moments(Entry):

@@ -55,9 +55,9 @@ class Judgement:
     held_after: HeldOut
 
     def rescored(self, held_before: HeldOut, held_after: HeldOut) -> "Judgement":
-        """The same with held-out scores that are more exact, and shares by them."""
+        """The same with held-out scores that are more exact, and shares by them where nothing else was scored."""
         named = [
-            replace(n, bare=held_before if n.bare is self.held_before else n.bare).scored(held_before, held_after)
+            replace(n, bare=held_before).scored(held_before, held_after) if n.bare is self.held_before else n
             for n in self.named
         ]
         return replace(self, held_before=held_before, held_after=held_after, named=tuple(named))
@@ -134,4 +134,7 @@ def _class_of(place: list[Class], placed: PlacedEffect) -> Class:
 
 def _lean(found: Explanation, after: Fit, i: int) -> Fit | None:
     """The best fit without effect i, where there is one; that of the explanation where it still stands."""
-    return found.slots[i].base if after is found.after else without(after, i)
+    if after is not found.after:
+        return without(after, i)
+    base = found.slots[i].base
+    return None if after.problem.effects[i] in base.problem.effects else base

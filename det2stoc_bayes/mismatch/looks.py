@@ -28,9 +28,9 @@ class Looks:
         self._slots[_key(base)] = frozenset(pool), slot
         return slot
 
-    def pairs(self, base: Fit, screened: Sequence[Screened], least: float) -> list[Fit]:
-        """Fits with two additions at once, best first; those that lost a race before do not run again."""
-        return refine_pairs(base, screened, least, self._pairs.setdefault(_key(base), {}))
+    def pairs(self, base: Fit, screened: Sequence[Screened], least: float, most: int) -> list[Fit]:
+        """Fits with two additions at once, best first, of at most `most`; those that lost before do not run again."""
+        return refine_pairs(base, screened, least, self._pairs.setdefault(_key(base), {}), most)
 
 
 def _key(fit: Fit) -> Hypothesis:

@@ -83,8 +83,7 @@ def _refined(base: Fit, screened: Sequence[Screened], known: Sequence[Ranked], c
     progress("refining the best", 0, len(new))
     found = race(base, [_added(base, t.change, [(t, t.coefficients)]) for s in new for t in _starts(s)])
     progress("refining the best", len(new), len(new))
-    for f in sorted(found, key=lambda f: -f.chi2):  # of an effect's starts the best is kept
-        fits[f.problem.effects[-1]] = f
+    fits |= {f.problem.effects[-1]: f for f in found}
     share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
     ranked = [Ranked(placed, f, gain(base, f, share)) for placed, f in fits.items()]
     return Slot(base, tuple(screened), tuple(sorted(ranked, key=lambda r: -r.gain)))
@@ -111,15 +110,16 @@ def refine_pairs(
     screened: Sequence[Screened],
     least: float,
     known: dict[frozenset[PlacedEffect], Fit | None],
+    most: int,
 ) -> list[Fit]:
     """Fits with two additions at once whose screening promises more than `least` nats, best evidence first.
 
     `known` are pairs that ran beside this fit before, None where they lost; those that run now join them.
     """
-    worth = varied([p for p in pairs(base, screened) if p.log_evidence > least], NUM_PAIRS)
+    worth = varied([p for p in pairs(base, screened) if p.log_evidence > least], most)
     new = [p for p in worth if p.key not in known]
     points = [_added(base, p.change, list(zip(p.members, p.coefficients, strict=True))) for p in new]
-    found = {frozenset(f.problem.effects[-2:]): f for f in race(base, points, most=NUM_PAIRS // 2)}
+    found = {frozenset(f.problem.effects[-2:]): f for f in race(base, points, most=most // 2)}
     known |= {p.key: found.get(p.key) for p in new}
     fits = [f for f in (known[p.key] for p in worth) if f is not None]
     share = effective_share(min(fits, key=lambda f: f.chi2)) if fits else 1.0
@@ -141,6 +141,8 @@ def _added(
 def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = None) -> list[Fit]:
     """Fits of several hypotheses; after a sketch of each only those (at most `most`) still in the race go on.
 
+    A hypothesis may start from several points: its best fit is returned.
+
     Positive parameters that end where the effect is absent drop their hypothesis.
     """
     if not points:
@@ -159,7 +161,12 @@ def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = 
     on = [(f.problem, f.point) for f in racing]
     further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
     better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None}
-    return _settled([f for f in (better.get(id(f), f) for f in fits) if allowed(f, first)], share, first)
+    best: dict[tuple[PlacedEffect, ...], Fit] = {}
+    for f in (better.get(id(f), f) for f in fits):
+        rival = best.get(f.problem.effects)
+        if allowed(f, first) and (rival is None or log_evidence(f, share) > log_evidence(rival, share)):
+            best[f.problem.effects] = f
+    return _settled(list(best.values()), share, first)
 
 
 def _settled(fits: Sequence[Fit], share: float, first: int) -> list[Fit]:
@@ -169,7 +176,9 @@ def _settled(fits: Sequence[Fit], share: float, first: int) -> list[Fit]:
     on = [(f.problem, f.point) for f in slow]
     found = fit_many(on, max_iterations=MOST_ITERATIONS, tolerance=SETTLED / share) if slow else []
     better = {
-        id(f): g for f, g in zip(slow, found, strict=True) if g is not None and g.chi2 <= f.chi2 and allowed(g, first)
+        id(f): g
+        for f, g in zip(slow, found, strict=True)
+        if g is not None and log_evidence(g, share) >= log_evidence(f, share) and allowed(g, first)
     }
     return [better.get(id(f), f) for f in fits]
 

@@ -50,10 +50,18 @@ def screen(
     for placed, trial, columns in changes(fit, new, advance):
         found = beside.judge(placed, trial, columns)
         if found is not None:
-            best = sorted([*trials.get(placed, ()), found], key=lambda s: -s.log_evidence)
-            trials[placed] = best[: 1 + NUM_OTHERS]
+            trials[placed] = _kept([*trials.get(placed, ()), found])
             _forget(trials)
     return sorted((replace(t[0], others=tuple(t[1:])) for t in trials.values()), key=lambda s: -s.log_evidence)
+
+
+def _kept(tried: Sequence[Screened]) -> list[Screened]:
+    """An effect's best trials, best first: one of each number of columns, then the others."""
+    order = sorted(tried, key=lambda s: -s.log_evidence)
+    sizes = [len(s.trial.columns) for s in order]
+    first = [s for i, s in enumerate(order) if sizes[i] not in sizes[:i]]
+    rest = [s for i, s in enumerate(order) if sizes[i] in sizes[:i]]
+    return sorted([*first, *rest][: 1 + NUM_OTHERS], key=lambda s: -s.log_evidence)
 
 
 def _forget(trials: dict[PlacedEffect, list[Screened]]) -> None:

@@ -32,7 +32,7 @@ def shares_by_recording(believed: HeldOut, base: HeldOut, better: HeldOut) -> tu
         values = float(believed.num_values[i])
         before, left = _excess(believed.chi2[i], values), _excess(better.chi2[i], values)
         gain = float(base.chi2[i] - better.chi2[i])
-        small = abs(gain) < max(NEGLIGIBLE * before, CHANGED)
+        small = abs(gain) < (NEGLIGIBLE * before if before else CHANGED)
         kind = "negligible" if small else "uncertain" if gain < left else "explained"
         share = float(np.clip(gain / before, -1.0, 1.0)) if before else None
         out.append(RecordingPart(recording=name, explains=share, kind=kind))

@@ -54,3 +54,4 @@ def test_weights_with_a_heavy_tail_are_told(fits):
     assert not unreliable(fits("laplace")) and not unreliable(fits("nuts"))  # of which one has none
     weights.values[:] = np.random.default_rng(0).exponential(1.5, weights.shape)  # k-hat 1.5
     assert "reliable below 0.67" in unreliable(tree)
+    assert not unreliable(tree.isel(draw=slice(5), missing_dims="ignore"))  # too few to tell

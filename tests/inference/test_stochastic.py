@@ -68,7 +68,10 @@ def test_files(simulator, data, tmp_path):
     one, two = (s.sample(jax.random.key(5), data.state, data.action) for s in (simulator, again))
     np.testing.assert_array_equal(one, two)
     (tmp_path / "b.d2s").write_text("{}")
-    for name in ("absent.d2s", "b.d2s"):
+    whole = (tmp_path / "a.d2s").read_bytes()
+    (tmp_path / "c.d2s").write_bytes(whole[: whole.index(b"\n") + 1])
+    (tmp_path / "d.d2s").write_bytes(whole[: len(whole) // 2])
+    for name in ("absent.d2s", "b.d2s", "c.d2s", "d.d2s"):
         with pytest.raises(Det2StocError, match=f"{name}: found no stochastic simulator; allowed: a file that"):
             StochasticSimulator.load(tmp_path / name)
 

@@ -83,6 +83,22 @@ def test_under_a_misfit_beyond_the_noise_other_recordings_decide(drag, monkeypat
         assert module._better(slot, 10.0, base, search) is chosen and search.others_chose
 
 
+def test_more_pairs_are_tried_before_a_misfit_is_called_unexplained(drag, monkeypatch):
+    noisy = replace(drag.problem, noise=drag.problem.noise / 10)
+    base, pair = fit(noisy), fit(noisy.with_effects(pool_of(noisy)[1:3]))
+    assert min(base.noise_inflation, pair.noise_inflation) > module.MODEL_ERROR
+    asked = []
+
+    def refine_pairs(*given):
+        asked.append(given[-1])
+        return [pair] if asked[-1] > module.NUM_PAIRS else []
+
+    monkeypatch.setattr(looks, "refine_pairs", refine_pairs)
+    monkeypatch.setattr(module, "untold", lambda f: 1.0 if f is pair else 9.0)
+    assert module._better(Slot(base, (), ()), 10.0, base, looks.Looks(lambda *_: None)) is pair
+    assert asked == [module.NUM_PAIRS, module.NUM_WIDE]
+
+
 def test_recordings_that_were_left_out_are_told_by_the_right_effect(tmp_path):
     """Halves of four recordings: chi2 within its scatter with what is there, far beyond it without."""
 

@@ -14,9 +14,11 @@ from simulated import (
     spring_problem,
 )
 
+from det2stoc_bayes.mismatch import screen as module
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.effects import Typical
-from det2stoc_bayes.mismatch.screen import screen
+from det2stoc_bayes.mismatch.effects.base import Trial
+from det2stoc_bayes.mismatch.screen import Screened, screen
 
 SMALL = Typical(force=0.2, speed=1.0, span=0.3, inertia=1.2)
 
@@ -152,3 +154,16 @@ def test_a_trial_that_diverges_is_passed_over(tmp_path):
     wild = place(problem, "viscous_damping", "slide", Typical(force=-1e12))
     good = place(problem, "constant_force", "slide", SMALL)
     assert [s.placed for s in screen(fit(problem), [wild, good])] == [good]
+
+
+def test_of_an_effects_trials_one_of_each_number_of_columns_is_kept(tmp_path):
+    """Near-duplicates with few columns would crowd out the one that finds what lies between them."""
+
+    placed = place(spring_problem(tmp_path), "payload_mass", "block", SMALL)
+
+    def tried(log_evidence, columns):
+        trial = Trial(({"mass": 1.0},) * columns)
+        return Screened(placed, trial, float(log_evidence), 0.0, np.zeros(columns), np.zeros(1))
+
+    kept = module._kept([tried(e, n) for e, n in ((5, 1), (9, 1), (1, 4), (8, 1), (7, 1), (2, 4))])
+    assert [(s.log_evidence, len(s.trial.columns)) for s in kept] == [(9, 1), (8, 1), (7, 1), (2, 4)]

@@ -32,6 +32,9 @@ def test_each_recording_by_itself():
     assert [s.explains for s in found] == [
         pytest.approx(1.0), pytest.approx(0.6), None, pytest.approx(0.02), -1.0, pytest.approx(0.3),
     ]  # fmt: skip
+    # All of an error that is no chance is not next to nothing, however few the values.
+    short = [replace(s, num_values=np.array([20.0])) for s in (scores(52), scores(20))]
+    assert shares_by_recording(short[0], short[0], short[1])[0].kind == "explained"
     # 290 of chi2 is far beyond chance however many values there are: noise is common to both predictions.
     long = [replace(s, num_values=np.array([5000.0])) for s in (scores(7000), scores(6710), scores(6990))]
     assert [shares_by_recording(long[0], long[0], s)[0].kind for s in long[1:]] == ["uncertain", "negligible"]
