@@ -146,7 +146,7 @@ def reproduce(
 @app.command()
 def export(
     study: StudyFolder,
-    posterior_file: Annotated[Path, typer.Argument(metavar="FIT", help="fit.nc of this study.", show_default=False)],
+    posterior_file: Annotated[Path, typer.Argument(metavar="FIT", help="fit.nc or its folder.", show_default=False)],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the draws go.", show_default=False)],
     draws: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="How many.")] = 100,
     models: Annotated[bool, typer.Option("--models/--no-models", help="An MJCF a draw, beside the table.")] = True,

@@ -276,8 +276,12 @@ def num_draws(tree: xr.DataTree) -> int:
 
 
 def load(path: str | os.PathLike[str]) -> xr.DataTree:
-    """Read a DataTree into memory; a Det2StocError where the file is missing, damaged or something else."""
+    """Read a DataTree into memory; a Det2StocError where the file is missing, damaged or something else.
+
+    Of a folder, its fit.nc.
+    """
     path = Path(path)
+    path = path / "fit.nc" if path.is_dir() else path
     if not path.is_file():
         raise Det2StocError(f"{path}: no such file; allowed: a fit written by det2stoc (.nc)")
     try:
@@ -286,6 +290,8 @@ def load(path: str | os.PathLike[str]) -> xr.DataTree:
     except Exception as error:  # h5py, h5netcdf and xarray raise whatever they meet in a damaged file
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise Det2StocError(f"{path}: cannot be read ({reason}); allowed: a fit written by det2stoc (.nc)") from error
+    if {"before", "after"} <= set(tree.children):
+        raise Det2StocError(f"{path}: is a diagnosis's; allowed: a fit written by `det2stoc fit` (.nc)")
     groups = PREDICTIVE if set(PREDICTIVE) <= set(tree.children) and "posterior" not in tree.children else GROUPS
     missing = [g for g in groups if g not in tree.children] + [a for a in ATTRIBUTES if a not in tree.attrs]
     if missing:

@@ -189,6 +189,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"error: --out {a.out}: is there already; allowed: a new name, or an empty folder", file=sys.stderr)
         return 2
     case.write(a.out)
+    print(f"a study in {a.out}; --reveal prints what is concealed", file=sys.stderr)
     if a.reveal:
         print(json.dumps(case.answer, indent=1))
     return 0

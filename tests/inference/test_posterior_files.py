@@ -19,6 +19,15 @@ def test_damaged_file(fits, tmp_path):
             load(path)
 
 
+def test_a_folder_and_a_diagnosis(fits, tmp_path):
+    save(fits("laplace"), tmp_path / "fit.nc")
+    assert load(tmp_path).identical(fits("laplace"))
+    of_a_diagnosis = xr.DataTree.from_dict({"before": xr.Dataset(), "after": xr.Dataset()})
+    save(of_a_diagnosis, tmp_path / "fit.nc")
+    with pytest.raises(Det2StocError, match="fit.nc: is a diagnosis's; allowed: a fit written by `det2stoc fit`"):
+        load(tmp_path)
+
+
 def test_missing_file(tmp_path):
     with pytest.raises(Det2StocError, match="no such file"):
         load(tmp_path / "fit.nc")
