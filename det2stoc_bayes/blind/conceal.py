@@ -169,6 +169,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--samples", type=int, default=300)
     parser.add_argument("--reveal", action="store_true", help="print the answer")
     a = parser.parse_args(arguments)
+    if a.out.exists() and (not a.out.is_dir() or any(a.out.iterdir())):
+        print(f"error: --out {a.out}: is there already; allowed: a new name, or an empty folder", file=sys.stderr)
+        return 2
     try:
         case = make_case(
             a.seed,
@@ -184,9 +187,6 @@ def main(arguments: list[str] | None = None) -> int:
         )
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
-    if a.out.exists() and (not a.out.is_dir() or any(a.out.iterdir())):
-        print(f"error: --out {a.out}: is there already; allowed: a new name, or an empty folder", file=sys.stderr)
         return 2
     case.write(a.out)
     print(f"a study in {a.out}; --reveal prints what is concealed", file=sys.stderr)

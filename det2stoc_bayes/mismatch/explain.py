@@ -84,7 +84,7 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
 
 
 def _misses(fit: Fit) -> bool:
-    """Whether a misfit beyond the noise stays, so that rivals are judged by recordings that were not fitted."""
+    """Whether a misfit beyond the noise stays, so that recordings that were not fitted judge."""
     return fit.noise_inflation >= MODEL_ERROR and others_exist(fit)
 
 
@@ -189,7 +189,7 @@ def _without_useless(
     None where the misfit is within the noise.
     """
     useless: set[PlacedEffect] = set()
-    if not grown.problem.effects or grown.noise_inflation < MODEL_ERROR or not others_exist(grown):
+    if not grown.problem.effects or not _misses(grown):
         return grown, lean, useless
     bare = _bare(before, grown)
     believed = untold(bare)
@@ -247,7 +247,7 @@ def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
     While a misfit remains, what has about as much evidence or more must tell other recordings about as well.
     """
     rest = [r for r in ranked if r.placed != own.placed]
-    if own.fit.noise_inflation >= MODEL_ERROR and others_exist(own.fit):
+    if _misses(own.fit):
         score = (1 + NEGLIGIBLE) * untold(own.fit)
         rest = [r for r in rest if r.gain < own.gain - AHEAD or untold(r.fit) < score]
     return tuple(sorted([own, *rest], key=lambda r: -r.gain))
@@ -260,7 +260,7 @@ def _prune(fit: Fit, needed: float) -> tuple[Fit, dict[PlacedEffect, Fit]]:
     """
     lean: dict[PlacedEffect, Fit] = {}
     effects = fit.problem.effects
-    if len(effects) < 2 or (fit.noise_inflation >= MODEL_ERROR and others_exist(fit)):
+    if len(effects) < 2 or _misses(fit):
         return fit, lean
     for placed in effects:
         rest = without(fit, fit.problem.effects.index(placed))
