@@ -41,15 +41,15 @@ def _no_back_emf(spec: Any) -> None:
     spec.actuator("motor").biasprm = [0.0] * len(spec.actuator("motor").biasprm)
 
 
-def _half_gravity(spec: Any) -> None:
-    spec.option.gravity = [0.0, 0.0, -4.9]
+def _no_gravity(spec: Any) -> None:
+    spec.option.gravity = [0.0, 0.0, 0.0]
 
 
 PIECES = {
     "pendulum_multiarm": Piece("damping of the hinge", ("damping",), _no_damping, "viscous_damping", "hinge"),
     # Back-EMF and viscous damping act alike: with either left in, nothing is missing.
     "servo_xl330": Piece("back-EMF and damping", ("back_emf", "damping"), _no_back_emf, "viscous_damping", "hinge"),
-    "ball_drops": Piece("half of gravity", ("gravity",), _half_gravity, "gravity_error", ""),
+    "ball_drops": Piece("gravity", ("gravity",), _no_gravity, "gravity_error", ""),
 }
 
 

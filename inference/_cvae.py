@@ -81,6 +81,8 @@ class HybridELBO(Trace_ELBO):
     def loss_with_mutable_state(self, rng_key, param_map, model, guide, *args, **kwargs):
         own, other = jax.random.split(rng_key)
         result = super().loss_with_mutable_state(own, param_map, model, guide, *args, **kwargs)
+        if self.alpha == 1:  # what counts for nothing would cost a backward pass
+            return result
         generated = trace(substitute(seed(model, other), data=param_map)).get_trace(*args, **kwargs)
         site = generated["y"]
         result["loss"] = self.alpha * result["loss"] - (1 - self.alpha) * site["fn"].log_prob(site["value"]).sum()

@@ -312,6 +312,8 @@ def test_included_files_within_the_folder_are_read(folder: Path):
     (folder / "parts/part.xml").write_text("<mujoco><option timestep='0.003'/></mujoco>")
     (folder / "model.xml").write_text(MODEL.replace("<worldbody>", "<include file='parts/part.xml'/><worldbody>"))
     assert load_study(folder).recordings
+    (folder / "parts/part.xml").write_text("<mujoco><option gravity='0 0 nan'/></mujoco>")
+    assert refusal(folder) == "part.xml: option gravity: found '0 0 nan'; allowed: finite numbers"
 
 
 @pytest.mark.parametrize("text", ["", "<mujoco>", "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "x"])

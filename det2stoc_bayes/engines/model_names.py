@@ -89,8 +89,9 @@ def compile_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
         raise ModelError(f"{path.name}: no such file in {path.parent}; {allowed}")
     if path.suffix.lower() != ".xml":
         raise ModelError(f"{path.name}: the model is an MJCF file; allowed: .xml")
-    _refuse_outside(path, (folder or path.parent).resolve())
-    _refuse_nan(path)
+    for file in _files_within(path, (folder or path.parent).resolve()):
+        if file.suffix.lower() == ".xml":
+            _refuse_nan(file)
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
@@ -141,8 +142,8 @@ def compile_loose_model(path: Path, folder: Path | None = None) -> "mujoco.MjMod
     return loose if loose.nq == model.nq and all(same) else model
 
 
-def _refuse_outside(path: Path, folder: Path) -> None:
-    """Raise if the MJCF, or a file that it names, leads out of the folder."""
+def _files_within(path: Path, folder: Path) -> Iterator[Path]:
+    """The MJCF and every file that it names; raises if one leads out of the folder."""
     waiting, seen = [path], set()
     while waiting:
         current = waiting.pop()
@@ -151,8 +152,10 @@ def _refuse_outside(path: Path, folder: Path) -> None:
         seen.add(current.resolve())
         if not current.resolve().is_relative_to(folder):
             raise ModelError(f"{path.name}: {current} lies outside of the study's folder; allowed: files within it")
-        if current.is_file() and current.suffix.lower() == ".xml":
-            waiting += _files_named(current, path.parent)
+        if current.is_file():
+            yield current
+            if current.suffix.lower() == ".xml":
+                waiting += _files_named(current, path.parent)
 
 
 def _files_named(xml: Path, main: Path) -> list[Path]:

@@ -167,3 +167,21 @@ def test_of_an_effects_trials_one_of_each_number_of_columns_is_kept(tmp_path):
 
     kept = module._kept([tried(e, n) for e, n in ((5, 1), (9, 1), (1, 4), (8, 1), (7, 1), (2, 4))])
     assert [(s.log_evidence, len(s.trial.columns)) for s in kept] == [(9, 1), (8, 1), (7, 1), (2, 4)]
+
+
+def test_gravity_may_have_been_left_out_altogether(tmp_path):
+    """Of two weights that fall alike, one name explains both; its prior must not forbid so large a change."""
+    weight = """<body><joint name="{0}" type="slide" axis="0 0 1"/>
+      <geom size="0.1" mass="{1}" contype="0" conaffinity="0"/></body>"""
+    xml = model_xml(
+        weight.format("light", 0.2) + weight.format("heavy", 3), option='<option timestep="0.002" gravity="0 0 0"/>'
+    )
+    starts = [([0.0, 0.0], [0.0, 1.0]), ([1.0, 0.0], [2.0, -1.0])]
+    falls = {"change": lambda model: model.opt.gravity.__setitem__(2, -9.81)}
+    made = recordings(xml, starts, 10 * np.arange(31), (0.03, 0.03, 0.1, 0.1), **falls)
+    base = fit(pose(make_study(tmp_path / "study", xml, noise_table(0.03, 0.1), made)))
+    first, second = screen(base, candidates(base.problem))[:2]
+    assert first.placed.effect.name == "gravity_error"
+    assert first.log_evidence > second.log_evidence + 50
+    size = first.placed.effect.combine(first.trial, first.coefficients, first.placed.typical)["change"]
+    assert size == pytest.approx(-9.81, abs=0.1)

@@ -2,6 +2,8 @@
 
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, normal
 
+STANDARD = 9.80665  # m/s2, the Earth's gravity
+
 
 class GravityTilt(Effect):
     """Gravity leans towards + of an axis: the ground is not level."""
@@ -42,8 +44,8 @@ class GravityError(Effect):
     changes = ("opt.gravity",)
 
     def priors(self, typical):
-        """A tenth of what is believed."""
-        return {"change": normal(0.1 * max(typical.force, 1.0))}
+        """A quarter of what is believed, of the Earth's where that is less: it may have been left out altogether."""
+        return {"change": normal(0.25 * max(typical.force, STANDARD))}
 
     def fields(self, p, fields, at, xp):
         """Added to gravity's z."""
