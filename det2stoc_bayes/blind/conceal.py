@@ -88,8 +88,9 @@ def make_case(
         times = float(rng.choice(setting.system.sampling)) * np.arange(num_samples)
         probe = draw_probe(rng, setting.system, psi, times, tuple(setting.varying))
         found = _draw(rng, probe, wanted, size)
-        if found is not None:
-            files, varied = record(rng, setting, probe, found, num_recordings)
+        made = None if found is None else record(rng, setting, probe, found, num_recordings)
+        if found is not None and made is not None:
+            files, varied = made
             samples = num_recordings * probe.plain[0].size
             return ConcealedCase(seed, files, _answer(rng, setting, probe, found, samples) | varied)
     names = " and ".join(name or "an effect" for name in wanted)

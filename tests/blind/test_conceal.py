@@ -65,6 +65,17 @@ def test_nothing_tells_what_is_concealed(case, pair):
             assert str(value)[:7] not in told.study_files["study.toml"] + told.study_files["model.xml"]
 
 
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_what_is_concealed_shows_in_what_is_fitted(seed):
+    """A limit of commands is reached there; it may be reached in the experiments alone that its size was tuned on."""
+    made = make_case(seed, system="lift_arm", effect="actuator_saturation", **SHORT)
+    (effect,) = made.answer["effects"]
+    column = f"ctrl/{effect['element']['name']}"
+    tables = [text.splitlines() for name, text in made.study_files.items() if name.startswith("recordings/")]
+    largest = max(abs(float(row.split(",")[rows[0].split(",").index(column)])) for rows in tables for row in rows[1:])
+    assert largest > effect["parameters"]["limit"]
+
+
 def test_sizes_are_what_psi_cannot_absorb(case, pair):
     for effect in (*case.answer["effects"], *pair.answer["effects"]):
         assert 3.0 <= effect["size_in_noise_sds"] <= 30.0
