@@ -8,9 +8,11 @@ from jaxtyping import Float
 from det2stoc_bayes.mismatch.crossed import chances, others_exist
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, probabilities, whitened
 from det2stoc_bayes.mismatch.race import Ranked, Slot
+from det2stoc_bayes.optimize import Fit
 
 AGREEMENT = 0.3  # noise sds (rms) within which predictions agree
 SIGMAS = 2.0  # by which the recordings could tell two predictions apart at most: below it nothing is told
+WEAK = 0.01  # of the precision of effects' priors
 LIKELIHOOD = 1.0  # nats within which the best fits agree
 
 
@@ -26,9 +28,9 @@ class Class:
 def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
     """Refined candidates of one slot in equivalence classes, most probable first.
 
-    Members fit equally well and predict alike. Their prior scales are conventions, so it is the likelihood at the
-    best fit that is compared, not the evidence, which those scales enter. A family with more parameters that gains
-    nothing by them counts for the class, but only the smallest are its members.
+    Members fit equally well and predict alike. Their prior scales are conventions, so it is the likelihood that is
+    compared, where the priors of effects are too wide to matter, not the evidence, which those scales enter. A family
+    with more parameters that gains nothing by them counts for the class, but only the smallest are its members.
     """
     left = list(slot.ranked)
     chance = dict(zip((id(r) for r in left), _chances(slot, num_candidates), strict=True))
@@ -57,10 +59,24 @@ def _chances(slot: Slot, num_candidates: int) -> Float[np.ndarray, " ranked"]:
 def _alike(a: Ranked, b: Ranked, share: float) -> bool:
     """Whether the likelihoods differ by less than chance and the predictions by less than the noise."""
     s2 = max(min(a.fit.noise_scale, b.fit.noise_scale), 1.0)
-    apart = (whitened(a.fit) - whitened(b.fit)) ** 2 / s2
+    (left_a, chi2_a), (left_b, chi2_b) = _unbound(a.fit), _unbound(b.fit)
+    apart = (left_a - left_b) ** 2 / s2
     if share * np.nansum(apart) < SIGMAS**2:
         return True
     more = abs(a.placed.size - b.placed.size)  # parameters; each gains half a nat by chance, seldom more than two
-    if 0.5 * share * abs(a.fit.chi2 - b.fit.chi2) / s2 > LIKELIHOOD * (1 + 2 * more):
+    if 0.5 * share * abs(chi2_a - chi2_b) / s2 > LIKELIHOOD * (1 + 2 * more):
         return False
     return float(np.sqrt(np.nanmean(apart))) < AGREEMENT
+
+
+def _unbound(fit: Fit) -> tuple[Float[np.ndarray, "segments samples columns"], float]:
+    """Whitened residuals and chi2, to first order, where the effects' priors are ten times as wide."""
+    left, first = whitened(fit), fit.problem.num_psi
+    columns = fit.linear.latent.project(fit.linear.columns)[:, : fit.problem.weight.shape[1]]
+    columns = np.where(np.isfinite(left).reshape(*columns.shape[:2], 1), columns, 0.0)
+    precision = np.eye(fit.problem.size)
+    precision[first:, first:] *= WEAK
+    gram = np.einsum("snk,snl->kl", columns, columns) / max(fit.noise_scale, 1.0)
+    pull = np.where(np.arange(fit.problem.size) < first, 0.0, (1 - WEAK) * fit.point.z)
+    moved = left - (columns @ np.linalg.solve(gram + precision, pull)).reshape(left.shape)
+    return moved, float(fit.chi2 + np.nansum(moved**2) - np.nansum(left**2))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import norm
 
 from det2stoc_bayes.linearization import Point
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_told
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.priors import Prior
 from det2stoc_bayes.simulator import Simulator
@@ -14,6 +14,7 @@ from det2stoc_bayes.study import Parameter
 
 TENSION = 3.0  # prior sds from the median at which a prior is doubted
 WIDER = 10.0  # times
+AS_WELL = 3.0  # nats
 
 
 def resolved(fit: Fit) -> Fit | None:
@@ -21,8 +22,7 @@ def resolved(fit: Fit) -> Fit | None:
 
     None where no prior is in doubt, or where something else is missing, too.
     """
-    strained = [b for b in fit.problem.unknowns.blocks if abs(fit.point.z[b.begin]) > TENSION]
-    if not strained or fit.problem.unknowns.varying:
+    if not _strained(fit) or fit.problem.unknowns.varying:
         return None
     simulator = fit.problem.simulator
     parameters = tuple(_widened(p) for p in simulator.parameters)
@@ -32,6 +32,22 @@ def resolved(fit: Fit) -> Fit | None:
     problem = replace(fit.problem, simulator=wide)
     found = fit_many([(problem, Point(np.clip(z, -5, 5), fit.point.start))], max_iterations=20)[0]
     return found if found is not None and found.noise_inflation < MODEL_ERROR else None
+
+
+def needless(after: Fit, declared: Fit) -> bool:
+    """Whether effects tell the recordings as well under the declared priors, none of which is in doubt beside them."""
+    own = declared.problem.simulator
+    psi = after.problem.psi(after.point.z)
+    z = [float(p.prior.to_normal(v)) for p, v in zip(own.parameters, psi, strict=True)]
+    start = np.concatenate([np.clip(z, -1, 1), after.point.z[after.problem.num_psi :]])
+    problem = replace(after.problem, simulator=own)
+    found = fit_many([(problem, Point(start, after.point.start))], max_iterations=20)[0]
+    return found is not None and not _strained(found) and bool(log_told(found) > log_told(after) - AS_WELL)
+
+
+def _strained(fit: Fit) -> bool:
+    """Whether some psi lies far out in its prior."""
+    return any(abs(fit.point.z[b.begin]) > TENSION for b in fit.problem.unknowns.blocks)
 
 
 def _widened(parameter: Parameter) -> Parameter:

@@ -12,12 +12,12 @@ from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.belief import Sampler, Temper
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.compose import Composer
-from det2stoc_bayes.mismatch.conflict import resolved
+from det2stoc_bayes.mismatch.conflict import needless, resolved
 from det2stoc_bayes.mismatch.credence import weigh
-from det2stoc_bayes.mismatch.explain import explain
+from det2stoc_bayes.mismatch.explain import Explanation, explain
 from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
-from det2stoc_bayes.mismatch.numerics import check_numerics
+from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.where import conditions
 from det2stoc_bayes.optimize import Fit
@@ -78,18 +78,18 @@ def diagnose(
     began = time.perf_counter()
     simulator = Simulator(study)
     progress("fitting the believed model", 0, 1)
-    before = climb(make_problem(simulator))
-    if before is None:
+    declared = climb(make_problem(simulator))
+    if declared is None:
         raise SimulationDiverged(
             f"{study.model_path}: the simulation diverges from every recorded start; "
             "check units, the timestep and the initial states of the recordings"
         )
-    before = resolved(before) or before
+    before = resolved(declared) or declared
     progress("fitting the believed model", 1, 1)
-    pool = candidates(before.problem)
-    numerics = check_numerics(before, float(simulator.model.opt.timestep), len(pool))
-    believed = before if numerics is None else numerics.fit
-    found = explain(believed, pool, progress)
+    numerics, found = _explained(before, progress)
+    if before is not declared and found.after.problem.effects and needless(found.after, declared):
+        before = declared
+        numerics, found = _explained(before, progress)
     progress("scoring held-out recordings", 0, 1)
     judged = judge(found.before if numerics is None else _believed(found.before, before), found, numerics)
     places = [list(judged.after.problem.effects).index(n.placed) for n in judged.named]
@@ -99,6 +99,13 @@ def diagnose(
     composer = Composer(judged, credence, when, seed)
     tree, patch = _arrays(judged, composer), _patch(judged, composer)
     return Diagnosis(composer.compose(time.perf_counter() - began), tree, patch, study)
+
+
+def _explained(before: Fit, progress: Progress) -> tuple[Numerics | None, Explanation]:
+    """What is missing beside a fit of the believed model, at a timestep that converges."""
+    pool = candidates(before.problem)
+    numerics = check_numerics(before, float(before.problem.simulator.model.opt.timestep), len(pool))
+    return numerics, explain(before if numerics is None else numerics.fit, pool, progress)
 
 
 def _believed(corrected: Fit, believed: Fit) -> Fit:

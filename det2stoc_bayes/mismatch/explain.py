@@ -7,10 +7,11 @@ import numpy as np
 
 from det2stoc_bayes.mismatch.crossed import others_exist, untold
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_told
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence, log_told
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.kin import with_kin
 from det2stoc_bayes.mismatch.looks import Looks
+from det2stoc_bayes.mismatch.numerics import comparable
 from det2stoc_bayes.mismatch.race import (
     NUM_PAIRS,
     PROMISING,
@@ -72,7 +73,7 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         own = next((r for r in first.ranked if r.placed == grown.problem.effects[0]), None)
         if own is not None:  # a later effect, left alone once the first was dropped, may not be there
             slot = _with_rivals(first, own)
-            after = slot.ranked[0].fit if _ahead(slot.ranked[0], own) else grown
+            after = slot.ranked[0].fit if _ahead(slot.ranked[0], _present(slot, own.placed)) else grown
             return Explanation(
                 before, after, (slot,), count, effective_share(after), looks.others_chose or _misses(after)
             )
@@ -105,10 +106,15 @@ def _judged(
         i = stale[0]
         own = grown.problem.effects[i]
         slots[i] = _judge(grown, i, lean.get(own), pool, looks)
-        best, present = slots[i].ranked[0], next(r for r in slots[i].ranked if r.placed == own)
-        if _ahead(best, present) and best.placed not in grown.problem.effects and swaps < MAX_EFFECTS:
+        best = slots[i].ranked[0]
+        if _ahead(best, _present(slots[i], own)) and best.placed not in grown.problem.effects and swaps < MAX_EFFECTS:
             grown, lean, slots, swaps = swap(grown, i, best), {}, {i: slots[i]}, swaps + 1
     return grown, tuple(slots[i] for i in range(len(slots)))
+
+
+def _present(slot: Slot, placed: PlacedEffect) -> Ranked:
+    """The effect that stands in a place, among its rivals."""
+    return next(r for r in slot.ranked if r.placed == placed)
 
 
 def _ahead(rival: Ranked, present: Ranked) -> bool:
@@ -238,7 +244,13 @@ def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], l
 
 def _with_rivals(slot: Slot, own: Ranked) -> Slot:
     """What could stand in an effect's place, those that predict the same fitted from where it ended."""
-    return replace(slot, ranked=_rivals(own, with_kin(slot, own).ranked))
+    ranked = _rivals(own, with_kin(slot, own).ranked)
+    fits = comparable([r.fit for r in ranked])
+    if all(f is r.fit for r, f in zip(ranked, fits, strict=True)):
+        return replace(slot, ranked=ranked)
+    share = effective_share(max(fits, key=log_evidence))
+    told = [Ranked(r.placed, f, gain(slot.base, f, share)) for r, f in zip(ranked, fits, strict=True)]
+    return replace(slot, ranked=tuple(sorted(told, key=lambda r: -r.gain)))
 
 
 def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:

@@ -1,5 +1,6 @@
 """Whether the believed timestep is fine enough for what it is asked to predict."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,8 @@ from det2stoc_bayes.problem import Finer, Problem
 
 FINE = 4  # times finer, by RK4: the reference
 RATIOS = (1, 2, 4)  # timesteps tried for "what converges", coarsest first
+NEAR = 50.0  # nats behind the best within which an error of integration may decide in any case
+MOST_COMPARED = 5
 NEGLIGIBLE = 4.0  # whitened squared change of all samples that no evidence could come from
 
 
@@ -42,14 +45,38 @@ def corrected(fit: Fit) -> Fit:
 
     The error is taken from one finer simulation and held, so that all that follows costs what it did.
     """
-    if fit.problem.timestep is not None or fit.noise_inflation >= MODEL_ERROR:
-        return fit
-    found = _converged(fit, float(fit.problem.simulator.model.opt.timestep))
-    if found is None:
-        return fit
-    problem = replace(fit.problem, finer=Finer(*found))
-    better = fit_many([(problem, fit.point)], tolerance=0.3)[0]
-    return better if better is not None and log_evidence(better) > log_evidence(fit) else fit
+    return comparable([fit])[0]
+
+
+def comparable(fits: Sequence[Fit]) -> list[Fit]:
+    """Rival fits, the best and those near it without the believed timestep's error if the best is better for it.
+
+    All of them or none: an error of integration may be what favours one of two that hardly differ.
+    """
+    evidence = np.array([log_evidence(f) for f in fits])
+    best = fits[int(evidence.argmax())]
+    if best.problem.timestep is not None or best.noise_inflation >= MODEL_ERROR:
+        return list(fits)
+    reach = evidence + np.maximum([0.5 * _excess(f) for f in fits], NEAR)
+    near = [i for i in np.argsort(-evidence) if reach[i] > evidence.max()][:MOST_COMPARED]
+    without = dict(zip(near, _without_error([fits[i] for i in near]), strict=True))
+    if max(log_evidence(f) for f in without.values()) <= evidence.max():
+        return list(fits)
+    return [without.get(i, f) for i, f in enumerate(fits)]
+
+
+def _excess(fit: Fit) -> float:
+    """What chi2 is more than noise makes it: nothing gains more than half of it in log likelihood."""
+    return (fit.noise_inflation - 1) * fit.linear.degrees_of_freedom
+
+
+def _without_error(fits: Sequence[Fit]) -> list[Fit]:
+    """Fits with the held error of the believed timestep taken off; as they are where it hardly matters."""
+    found = [_converged(f, float(f.problem.simulator.model.opt.timestep)) for f in fits]
+    shifted = {i: replace(fits[i].problem, finer=Finer(*c)) for i, c in enumerate(found) if c is not None}
+    again = fit_many([(p, fits[i].point) for i, p in shifted.items()], tolerance=0.3) if shifted else []
+    better = dict(zip(shifted, again, strict=True))
+    return [better.get(i) or f for i, f in enumerate(fits)]
 
 
 def _converged(fit: Fit, timestep: float) -> tuple[float, str, Float[np.ndarray, "segments samples columns"]] | None:

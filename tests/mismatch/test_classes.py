@@ -117,3 +117,14 @@ def test_under_model_error_recordings_are_drawn_anew(slot, monkeypatch):
     told[id(noisy[2].fit)] = (0, 0, 0, 0)
     first = classes(replace(slot, ranked=tuple(noisy)), 20, 1.0)[0]
     assert first.members[0] is noisy[2] and first.probability == 1.0  # though it has least evidence
+
+
+def test_a_prior_scale_that_pulls_does_not_part_them(slot):
+    """One of two twins was expected to be a fifth as large: its fit ends short of where the recordings put it."""
+    twin = next(r for r in slot.ranked if r.placed.effect.name == "quadratic_drag")
+    timid = place(twin.fit.problem, "quadratic_drag", "block", replace(SMALL, force=SMALL.force / 5))
+    pulled = fit(twin.fit.problem.with_effects([timid]), max_iterations=20)
+    assert pulled.point.z[-1] > 4  # prior sds; measured: 5.3
+    assert 0.5 * (pulled.chi2 - twin.fit.chi2) > 10  # nats; measured: 33
+    same = next(r for r in slot.ranked if r.placed.effect.name == "quadratic_damping")
+    assert len(classes(replace(slot, ranked=(same, Ranked(timid, pulled, 0.0))), 20, 1.0)) == 1

@@ -167,7 +167,8 @@ def damped(spec, model):
 
 
 AREA = (4 * np.pi * 0.025 * (0.025 + np.hypot(0.25, 0.05) / 2)) / 4
-G = 9.81 * np.array([np.sin(0.1), np.cos(0.1) * np.sin(-0.05), -np.cos(0.1) * np.cos(-0.05)])
+LEAN = np.sin([0.1, -0.05])
+G = 9.81 * np.array([*LEAN, -np.sqrt(1 - LEAN @ LEAN)])
 LAWS = {
     "ViscousDamping": {"edit": damped},
     "CoulombFriction": field("dof_frictionloss", 0.2),

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import make_study, model_xml
-from simulated import PENDULUM, fit, noise_table, pose, recordings
+from simulated import PENDULUM, fit, noise_table, place, pose, recordings, run
 
 from det2stoc_bayes.mismatch import numerics
-from det2stoc_bayes.mismatch.numerics import check_numerics, corrected
+from det2stoc_bayes.mismatch.evidence import log_evidence
+from det2stoc_bayes.mismatch.numerics import check_numerics, comparable, corrected
 from det2stoc_bayes.mismatch.statements import finer_step
 
 COARSE = '<option timestep="0.02" integrator="Euler" gravity="0 0 -9.81"/>'
@@ -101,3 +102,44 @@ def test_a_step_that_diverges_does_not_converge(tmp_path):
     found = numerics._converged(base, 0.002)
     assert found is not None and found[0] < 0.002 and np.isfinite(found[2]).all()
     assert np.isfinite(corrected(base).chi2)
+
+
+DRIVEN = """
+<body name="bob"><joint name="run" type="slide" axis="1 0 0" damping="0.4" stiffness="900"/>
+  <geom size="0.1" mass="1.2" contype="0" conaffinity="0"/></body>"""
+MOTOR = '<actuator><motor name="push" joint="run"/></actuator>'
+DRIVEN_PSI = PSI.replace("pivot", "run").replace("loc = 0.05, scale = 0.02", "loc = 0.4, scale = 0.1")
+LAG, EVERY = 2.6e-3, 20  # s; fine steps a sample
+
+
+def lagged_commands(sent):
+    """What passes a first-order filter, as its mean over each fine step."""
+    step, level, out = 0.0005, sent[0], []
+    for goal in np.repeat(sent, EVERY):
+        out.append(goal + (level - goal) * LAG / step * (1 - np.exp(-step / LAG)))
+        level = goal + (level - goal) * np.exp(-step / LAG)
+    return np.array(out)
+
+
+def test_an_error_of_integration_does_not_choose_between_rivals(tmp_path):
+    """A short lag recorded by fine steps and believed at coarse ones, at which a delay fits better."""
+    option = '<option timestep="{}" integrator="RK4" gravity="0 0 0"/>'
+    time, sd, made = 0.01 * np.arange(200), (4e-4, 4e-3), {}
+    rng = np.random.default_rng(0)
+    for n in range(3):
+        sent = 20 * np.sign(np.sin(2 * np.pi * (1 + n) * time + n))
+        got = lagged_commands(sent)[:, None]
+        _, states = run(
+            model_xml(DRIVEN, MOTOR, option=option.format(0.0005)), ([0.2], [0.0]), np.arange(len(got)), ctrl=got
+        )
+        states = states[::EVERY] + sd * rng.standard_normal((len(time), 2))
+        made[f"run_{n}"] = (time, {"qpos/run": states[:, 0], "qvel/run": states[:, 1], "ctrl/push": sent})
+    xml = model_xml(DRIVEN, MOTOR, option=option.format(0.005))
+    problem = pose(make_study(tmp_path / "study", xml, DRIVEN_PSI + noise_table(*sd), made))
+    effects = [place(problem, name, "push") for name in ("actuator_delay", "actuator_lag")]
+    delay, lag = (fit(problem.with_effects([e]), [0, 0.1], max_iterations=20) for e in effects)
+    assert log_evidence(delay) > log_evidence(lag) + 5  # measured: 11.7 nats
+    delay, lag = comparable([delay, lag])
+    assert log_evidence(lag) > log_evidence(delay) + 20  # measured: 37 nats
+    assert lag.problem.effect_values(lag.point.z[None])[0]["time_constant"] == pytest.approx(LAG, rel=0.01)
+    assert lag.noise_inflation == pytest.approx(1.0, abs=0.1)

@@ -3,13 +3,14 @@
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, normal
 
 STANDARD = 9.80665  # m/s2, the Earth's gravity
+LEVEL = 1e-12  # squared share of gravity that stays downward at least, where a search leans too far
 
 
 class GravityTilt(Effect):
     """Gravity leans towards + of an axis: the ground is not level."""
 
     name, kind, law_text, noun = "gravity_tilt", "world", "g leans by toward_x, toward_y", "A tilt"
-    law = r"\mathbf g = R_x(\beta)\,R_y(\alpha)\,\mathbf g_0"
+    law = r"\hat{\mathbf g} \cdot (\hat{\mathbf x}, \hat{\mathbf y}) = (\sin\alpha, \sin\beta)"
     parameters = (EffectParameter("toward_x", "rad"), EffectParameter("toward_y", "rad"))
     changes = ("opt.gravity",)
     complexity = 2
@@ -27,12 +28,13 @@ class GravityTilt(Effect):
         return {"toward_x": 5e-4 * float(coefficients[0]), "toward_y": 5e-4 * float(coefficients[1])}
 
     def fields(self, p, fields, at, xp):
-        """Gravity turned about y, then about x."""
-        g, a, b = fields["opt.gravity"], p["toward_x"], p["toward_y"]
-        x = g[..., 0] * xp.cos(a) - g[..., 2] * xp.sin(a)
-        z = g[..., 0] * xp.sin(a) + g[..., 2] * xp.cos(a)
-        y, z = g[..., 1] * xp.cos(b) - z * xp.sin(b), g[..., 1] * xp.sin(b) + z * xp.cos(b)
-        return {"opt.gravity": xp.stack([x, y, z], -1)}
+        """Gravity under the least rotation that takes -z to (sin x, sin y, -down), by Rodrigues' formula."""
+        g, a, b = fields["opt.gravity"], xp.sin(p["toward_x"]), xp.sin(p["toward_y"])
+        down = xp.sqrt(xp.maximum(1 - a * a - b * b, LEVEL))
+        x, y, z = g[..., 0], g[..., 1], g[..., 2]
+        along = (b * x - a * y) / (1 + down)
+        turned = down * x - a * z + b * along, down * y - b * z - a * along, down * z + a * x + b * y
+        return {"opt.gravity": xp.stack(turned, -1)}
 
 
 class GravityError(Effect):
