@@ -11,8 +11,8 @@ from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.inference import METHODS, get_method
 from det2stoc_bayes.posterior import ATTRIBUTES, GROUPS, load, misfit, save
 
-OWN = ("blackjax_nuts", "emcee", "laplace", "nuts", "prior", "smc")
-SAMPLERS = ("blackjax_nuts", "emcee", "nuts", "smc")
+OWN = ("blackjax_nuts", "emcee", "laplace", "nuts", "prior", "smc", "svi")
+SAMPLERS = ("blackjax_nuts", "emcee", "nuts", "smc", "svi")
 
 
 def test_registry_lists_the_methods():

@@ -8,7 +8,7 @@ from scipy import stats
 from det2stoc_bayes.inference import blackjax_nuts, laplace, nuts
 from det2stoc_bayes.models import linear_gaussian
 
-EXACT = ("blackjax_nuts", "emcee", "laplace", "nuts", "smc")
+EXACT = ("blackjax_nuts", "emcee", "laplace", "nuts", "smc", "svi")  # on a Gaussian, whose guide svi's is
 NAMES = ["gravity_x", "gravity_z"]
 
 
