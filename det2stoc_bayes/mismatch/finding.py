@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import best_match
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import atomic_write
@@ -25,8 +25,20 @@ SURE = 0.8
 type Json = None | bool | int | float | str | list[Json] | dict[str, Json]
 type Number = float | None
 type Numbers = Number | tuple[Number, ...]
-Probability = Annotated[float, Field(ge=0, le=1)]
-Share = Annotated[float, Field(le=1, description="fraction of the squared whitened residual in excess of noise")]
+
+
+def _within_rounding(value: Any) -> Any:
+    """1 for what only rounding puts beyond it: sums of shares, of probabilities."""
+    return 1.0 if isinstance(value, float) and 1.0 < value < 1.0 + ROUNDING else value
+
+
+ROUNDING = 1e-9
+Probability = Annotated[float, Field(ge=0, le=1), BeforeValidator(_within_rounding)]
+Share = Annotated[
+    float,
+    Field(le=1, description="fraction of the squared whitened residual in excess of noise"),
+    BeforeValidator(_within_rounding),
+]
 
 
 class FindingInvalid(Det2StocError):

@@ -117,6 +117,14 @@ def test_a_listed_key_cannot_be_missing(path: str) -> None:
         Finding(**changed(path, ...))
 
 
+@pytest.mark.parametrize("path", ["effects.0.probability", "where.elements.0.share"])
+def test_sums_that_rounding_puts_beyond_one_are_one(path: str) -> None:
+    found = Finding(**changed(path, 1.0000000000000002))
+    assert to_json(found) == to_json(Finding(**changed(path, 1.0)))
+    with pytest.raises(ValidationError):
+        Finding(**changed(path, 1.001))
+
+
 @pytest.mark.parametrize(
     "path, value",
     [
