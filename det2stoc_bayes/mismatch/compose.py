@@ -115,7 +115,7 @@ class Composer:
         """What cannot be told apart, and the recording that would."""
         if self.judged.verdict != "inconclusive":
             return [], None
-        doubtful = next(n for n in self.judged.named if n.chosen.probability < finding.SURE)
+        doubtful = min(self.judged.named, key=lambda n: n.chosen.probability)
         every = sorted((doubtful.chosen, *doubtful.rest), key=lambda c: -c.probability)
         p = propose(every[0].members[0].fit, every[min(1, len(every) - 1)].members[0].fit)
         experiment = {
@@ -176,6 +176,9 @@ class Composer:
                 for c in candidates[:3]
                 if c.element
             ]
+            if candidates and candidates[0].probability >= finding.SURE:
+                drop = _drop(fit, "the best of the catalogue")
+                return f"Something was left out that the catalogue does not hold; nearest is {each[0]}. {drop}"
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         drop = _drop(fit, "it" if len(effects) == 1 else "them")
         step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()

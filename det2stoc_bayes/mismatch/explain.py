@@ -181,10 +181,13 @@ def _best_of(slot: Slot, needed: float, believed: Fit, looks: Looks, num_pairs: 
 
 
 def _enough(fit: Fit, believed: Fit) -> bool:
-    """Whether what is left is chance, or within the noise and negligible beside the believed model's misfit."""
-    left = fit.noise_inflation - 1
+    """Whether what is left is chance, or within the noise and negligible beside the believed model's misfit.
+
+    Over parts of recordings nothing is negligible: their starts absorb most of what is missing.
+    """
+    left, segments = fit.noise_inflation - 1, fit.problem.segments
     small = fit.noise_inflation < MODEL_ERROR and left < NEGLIGIBLE * (believed.noise_inflation - 1)
-    return small or by_chance(fit)
+    return small and segments.count == len(segments.recordings) or by_chance(fit)
 
 
 def _without_useless(

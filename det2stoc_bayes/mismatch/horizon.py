@@ -11,7 +11,7 @@ from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import cut
 
 SHORTEST = 20  # samples
-GROWTH = 4
+GROWTH, LEAST_GROWTH = 4, 2  # from one rung to the next; and from the last one to whole recordings
 LARGEST_ERROR = 0.2  # of a column's spread: beyond it a linearization says little
 
 
@@ -19,7 +19,7 @@ def ladder(problem: Problem) -> Iterator[int | None]:
     """Numbers of samples to try in turn; None stands for whole recordings."""
     longest = max(len(r.time) for r in problem.segments.recordings)
     n = SHORTEST
-    while n * GROWTH <= longest:
+    while LEAST_GROWTH * n <= longest:
         yield n
         n *= GROWTH
     yield None
@@ -51,10 +51,10 @@ def extend(fit: Fit) -> Fit:
 
 
 def relative_error(fit: Fit) -> float:
-    """Largest residual rms of a column beside that column's spread."""
-    r = whitened(fit) * fit.problem.noise
+    """Largest residual rms of a column, the noise's taken off, beside that column's spread."""
+    r = whitened(fit)
     with np.errstate(invalid="ignore"):
-        rms = np.sqrt(np.nanmean(r**2, axis=(0, 1)))
+        rms = fit.problem.noise * np.sqrt(np.maximum(np.nanmean(r**2, axis=(0, 1)) - 1.0, 0.0))
         spread = np.nanstd(fit.problem.segments.values, axis=(0, 1))
     signal = spread > 5 * fit.problem.noise  # a column that hardly moves says nothing about the horizon
     return float(np.max(rms[signal] / spread[signal], initial=0.0))

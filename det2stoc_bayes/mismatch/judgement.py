@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from det2stoc_bayes.mismatch.classes import Class, classes
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
@@ -17,6 +19,8 @@ from det2stoc_bayes.mismatch.shares import (
     shares_by_recording,
 )
 from det2stoc_bayes.optimize import Fit, fit_many
+
+SPOILT = 0.05  # of a column's held-out error: more of it where other columns gain is no chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +115,17 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     else:
         verdict = "mismatch" if all(n.chosen.probability >= SURE for n in named) else "inconclusive"
     held_after = held_before if after is before else whole if named else held_out(after)
+    if named and _spoils(after, held_before, held_after):
+        verdict = "inconclusive"
     return Judgement(
         verdict, before, after, found, places, tuple(named), tuple(negligible), numerics, share, held_before, held_after
     )
+
+
+def _spoils(after: Fit, before: HeldOut, later: HeldOut) -> bool:
+    """Whether a misfit stays and some column is told worse than without: what is missing is not what was found."""
+    with np.errstate(invalid="ignore"):
+        return after.noise_inflation >= MODEL_ERROR and bool((later.rmse > (1 + SPOILT) * before.rmse).any())
 
 
 def _beyond_noise(after: Fit, explains: float, believed: HeldOut) -> bool:

@@ -11,7 +11,7 @@ from det2stoc_bayes.mismatch import explain as module
 from det2stoc_bayes.mismatch import looks
 from det2stoc_bayes.mismatch.crossed import untold
 from det2stoc_bayes.mismatch.effects import Typical
-from det2stoc_bayes.mismatch.evidence import log_evidence
+from det2stoc_bayes.mismatch.evidence import by_chance, log_evidence
 from det2stoc_bayes.mismatch.explain import explain
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 
@@ -179,3 +179,14 @@ def test_no_look_is_taken_twice(drag, monkeypatch):
     assert all(kept[r.placed] is r.fit for r in fewer.ranked if r.placed in kept)
     taken.at(drag, pool)
     assert len(calls) == 2
+
+
+def test_over_parts_of_recordings_nothing_is_negligible(drag):
+    """A misfit a twentieth of the believed model's ends the search over whole recordings alone."""
+    left = replace(drag, chi2=1.4 * drag.linear.degrees_of_freedom)
+    believed = replace(drag, chi2=30 * drag.linear.degrees_of_freedom)
+    assert not by_chance(left) and module._enough(left, believed)
+    segments = drag.problem.segments
+    parts = replace(segments, recordings=segments.recordings[:1])  # as if each were cut in three
+    cut_up = replace(left.linear, problem=replace(drag.problem, segments=parts))
+    assert not module._enough(replace(left, linear=cut_up), believed)

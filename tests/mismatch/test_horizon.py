@@ -27,7 +27,7 @@ def pendulum(folder, length=100, **options):
 
 @pytest.mark.parametrize(
     ("length", "rungs"),
-    [(30, [None]), (79, [None]), (80, [20, None]), (330, [20, 80, None]), (1280, [20, 80, 320, None])],
+    [(39, [None]), (40, [20, None]), (159, [20, None]), (160, [20, 80, None]), (1280, [20, 80, 320, None])],
 )
 def test_rungs(tmp_path, length, rungs):
     problem, time = pendulum(tmp_path, 3), 0.02 * np.arange(length)
@@ -40,7 +40,7 @@ def test_rungs(tmp_path, length, rungs):
 def test_the_right_model_reaches_whole_recordings(tmp_path):
     found = climb(pendulum(tmp_path))
     assert found.problem.segments.count == 2
-    assert relative_error(found) < 0.01  # measured: 0.003, the noise
+    assert relative_error(found) < 0.005  # measured: 0.001; the noise does not count
     assert found.noise_inflation == pytest.approx(1.0, abs=0.25)
 
 
@@ -69,7 +69,7 @@ def test_a_model_that_explodes_has_no_horizon(tmp_path):
 
 def test_columns_that_hardly_move_have_no_say(tmp_path):
     problem = pendulum(tmp_path, 40)
-    found = fit(problem)
+    found = fit(replace(problem, noise=problem.noise / 3))
     assert relative_error(found) > 0
     still = found.problem.segments.values.copy()
     still[:] = still.mean((0, 1)) + problem.noise * np.random.default_rng(0).standard_normal(still.shape)
@@ -77,9 +77,10 @@ def test_columns_that_hardly_move_have_no_say(tmp_path):
     assert relative_error(rest) == 0.0
 
 
-def test_error_is_beside_the_spread(tmp_path):
+def test_error_beyond_the_noise_is_beside_the_spread(tmp_path):
     problem = pendulum(tmp_path, 40)
-    found = fit(problem.on(cut(problem.segments.recordings)))
+    found = fit(replace(problem.on(cut(problem.segments.recordings)), noise=problem.noise / 3))
     r = problem.segments.values - problem.simulator.rollout(problem.request(found.point.z[None], found.point.start))
-    expected = (r.std((0, 1)) / problem.segments.values.std((0, 1))).max()
-    assert relative_error(found) == pytest.approx(expected, rel=0.02)
+    beyond = np.sqrt((r**2).mean((0, 1)) - (problem.noise / 3) ** 2)
+    expected = (beyond / problem.segments.values.std((0, 1))).max()
+    assert relative_error(found) == pytest.approx(expected, rel=0.03)
