@@ -104,6 +104,10 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
             negligible.append((placed, one.explains))
         else:
             named.append(one)
+    if named and numerics is None:
+        together = share_explained(held_before, held_before, whole)
+        if together < NEGLIGIBLE and not _beyond_noise(after, together, held_before):  # each needs the other in vain
+            negligible, named = [*negligible, *((n.placed, together) for n in named)], []
     for placed, _ in negligible:
         after = _lean(found, after, list(after.problem.effects).index(placed)) or after
     if negligible and named:  # what the others explain is told beside those that stay
