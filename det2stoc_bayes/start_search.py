@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     import det2stoc_bayes.linearization
 
-STAGES = ((8, 12, 6), (12, 6, 6), (20, 1, 8))  # samples from a segment's start, starts kept then, steps before
+# Samples from a segment's start, starts kept then, steps before: valleys look alike over the first samples.
+STAGES = ((8, 12, 6), (12, 8, 6), (20, 5, 6), (40, 2, 6), (80, 1, 6))
 STEPS_BEYOND = 3  # with the one start that is left, at every doubling up to the whole segment
 NUM_STARTS, NUM_TURNED = 16, 32  # tried for each segment; where an orientation is unseen
 SPINS = 1.5  # spreads of an orientation's speed

@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import fit, spring_problem
+from simulated import fit, place, spring_problem
 
+from det2stoc_bayes.mismatch import judgement
+from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.heldout import held_out
 from det2stoc_bayes.mismatch.judgement import SPOILT, _spoils
+from det2stoc_bayes.mismatch.race import Ranked, Slot
 
 
 @pytest.mark.parametrize(
@@ -21,3 +24,25 @@ def test_a_column_told_worse_beside_a_misfit_that_stays(tmp_path, inflation, wor
     left = replace(base, chi2=inflation * base.linear.degrees_of_freedom)
     assert _spoils(left, scores, later) is spoilt
     assert not _spoils(left, scores, scores)
+
+
+def test_two_effects_that_explain_nothing_together_are_not_named(tmp_path, monkeypatch):
+    """Without either the other makes it worse: beside the believed model both are in vain."""
+    base = fit(spring_problem(tmp_path, noise=1e-3))
+    a, b = (place(base.problem, name, "slide") for name in ("constant_force", "quadratic_damping"))
+    alone = {e: fit(base.problem.with_effects([e])) for e in (a, b)}
+    both = replace(fit(base.problem.with_effects([a, b])), chi2=50 * base.linear.degrees_of_freedom)
+    scores = held_out(base)
+    error = {0: 100.0, 1: 300.0, 2: 99.0}  # times the number of values, by the number of effects
+
+    def told(fitted):
+        return replace(scores, chi2=error[len(fitted.problem.effects)] * scores.num_values)
+
+    monkeypatch.setattr(judgement, "held_out", told)
+    slots = tuple(Slot(alone[o], (), (Ranked(e, both, 100.0),)) for e, o in ((a, b), (b, a)))
+    found = Explanation(base, both, slots, 10, 1.0)
+    judged = judgement.judge(base, found, None)
+    assert judged.verdict == "no_mismatch" and judged.after is base
+    assert [p for p, _ in judged.negligible] == [a, b]
+    error[2] = 10.0
+    assert judgement.judge(base, found, None).verdict == "mismatch"
