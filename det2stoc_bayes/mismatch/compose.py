@@ -177,8 +177,8 @@ class Composer:
                 if c.element
             ]
             if candidates and candidates[0].probability >= finding.SURE:
-                drop = _drop(fit, "the best of the catalogue")
-                return f"Something was left out that the catalogue does not hold; nearest is {each[0]}. {drop}"
+                drop = _drop(fit, "the best that was found")
+                return f"Something was left out, and nothing found accounts for it; nearest is {each[0]}. {drop}"
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         drop = _drop(fit, "it" if len(effects) == 1 else "them")
         step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()
