@@ -62,7 +62,7 @@ def fit(
         mode = mode_of(problem)
         density = mode.density
         target = Target(mode, numpy_random(key), gradient)
-        scale = np.diag(1.0 / np.sqrt(np.diag(_precision(mode.scale)))) if guide == "diagonal" else mode.scale
+        scale = np.diag(1.0 / np.linalg.norm(np.linalg.inv(mode.scale), axis=0)) if guide == "diagonal" else mode.scale
         center, root, log_volume = jnp.asarray(mode.center), jnp.asarray(scale), np.linalg.slogdet(scale)[1]
 
         def log_density(u):
@@ -133,9 +133,3 @@ def _draws(
     u = jax.vmap(transform)(seed)
     log_density = base.log_prob(seed) - jax.vmap(transform.log_abs_det_jacobian)(seed, u)
     return np.asarray(u).reshape(num_chains, num_draws, -1), np.asarray(log_density).reshape(num_chains, num_draws)
-
-
-def _precision(scale: Float[np.ndarray, "size size"]) -> Float[np.ndarray, "size size"]:
-    """Inverse of scale scale'."""
-    inverse = np.linalg.inv(scale)
-    return inverse.T @ inverse

@@ -209,7 +209,7 @@ def _shares(effects: tuple[finding.Effect, ...]) -> list[dict]:
     for e in effects:
         key = (e.element.kind, e.element.name)
         shares[key] = shares.get(key, 0.0) + max(e.explains or 0.0, 0.0) / total
-    return [{"kind": kind, "name": name, "share": min(s, 1.0)} for (kind, name), s in shares.items()]
+    return [{"kind": kind, "name": name, "share": s} for (kind, name), s in shares.items()]
 
 
 def _untold(effect: finding.Effect, alone: bool) -> str:

@@ -27,22 +27,23 @@ def resolved(fit: Fit) -> Fit | None:
     simulator = fit.problem.simulator
     parameters = tuple(_widened(p) for p in simulator.parameters)
     wide = Simulator(replace(simulator.study, parameters=parameters))
-    psi = fit.problem.psi(fit.point.z)
-    z = np.array([float(p.prior.to_normal(v)) for p, v in zip(parameters, psi, strict=True)])
-    problem = replace(fit.problem, simulator=wide)
-    found = fit_many([(problem, Point(np.clip(z, -5, 5), fit.point.start))], max_iterations=20)[0]
+    found = _refitted(fit, wide, 5.0)
     return found if found is not None and found.noise_inflation < MODEL_ERROR else None
 
 
 def needless(after: Fit, declared: Fit) -> bool:
     """Whether effects tell the recordings as well under the declared priors, none of which is in doubt beside them."""
-    own = declared.problem.simulator
-    psi = after.problem.psi(after.point.z)
-    z = [float(p.prior.to_normal(v)) for p, v in zip(own.parameters, psi, strict=True)]
-    start = np.concatenate([np.clip(z, -1, 1), after.point.z[after.problem.num_psi :]])
-    problem = replace(after.problem, simulator=own)
-    found = fit_many([(problem, Point(start, after.point.start))], max_iterations=20)[0]
+    found = _refitted(after, declared.problem.simulator, 1.0)
     return found is not None and not _strained(found) and bool(log_told(found) > log_told(after) - AS_WELL)
+
+
+def _refitted(fit: Fit, simulator: Simulator, farthest: float) -> Fit | None:
+    """The fit under other priors, from the same psi or at most `farthest` of their sds out."""
+    psi = fit.problem.psi(fit.point.z)
+    z = [float(p.prior.to_normal(v)) for p, v in zip(simulator.parameters, psi, strict=True)]
+    z = np.concatenate([np.clip(z, -farthest, farthest), fit.point.z[fit.problem.num_psi :]])
+    problem = replace(fit.problem, simulator=simulator)
+    return fit_many([(problem, Point(z, fit.point.start))], max_iterations=20)[0]
 
 
 def _strained(fit: Fit) -> bool:

@@ -187,7 +187,7 @@ def _enough(fit: Fit, believed: Fit) -> bool:
     """
     left, segments = fit.noise_inflation - 1, fit.problem.segments
     small = fit.noise_inflation < MODEL_ERROR and left < NEGLIGIBLE * (believed.noise_inflation - 1)
-    return small and segments.count == len(segments.recordings) or by_chance(fit)
+    return (small and segments.count == len(segments.recordings)) or by_chance(fit)
 
 
 def _without_useless(

@@ -25,6 +25,7 @@ SURE = 0.8
 type Json = None | bool | int | float | str | list[Json] | dict[str, Json]
 type Number = float | None
 type Numbers = Number | tuple[Number, ...]
+ROUNDING = 1e-9
 
 
 def _within_rounding(value: Any) -> Any:
@@ -32,7 +33,6 @@ def _within_rounding(value: Any) -> Any:
     return 1.0 if isinstance(value, float) and 1.0 < value < 1.0 + ROUNDING else value
 
 
-ROUNDING = 1e-9
 Probability = Annotated[float, Field(ge=0, le=1), BeforeValidator(_within_rounding)]
 Share = Annotated[
     float,
