@@ -72,6 +72,7 @@ def fit(
     method: Annotated[str, typer.Option(metavar="NAME", help="An inference method.")] = "nuts",
     engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
     num_samples: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="Draws in all.")] = 1000,
+    refine: Annotated[Literal["none", "psis"], typer.Option(help="Resample by the exact likelihood.")] = "none",
     seed: Seed = 0,
     as_json: Json = False,
     debug: Debug = False,
@@ -87,6 +88,7 @@ def fit(
         get_method(method)  # a name that does not exist is not worth reading a study for
         believed = _load(study)
         options = {"seed": seed, "engine": engine, "num_samples": num_samples, "progress": stages}
+        options |= {"refine": refine} if refine != "none" else {}
         tree = verbs.fit(believed, method, **options)
         rows, told, path = summarize(tree), predicted(tree), out / "fit.nc"
         posterior.save(tree, path)

@@ -191,18 +191,25 @@ def unreliable(tree: xr.DataTree) -> str:
 
     k-hat: Vehtari et al., Pareto smoothed importance sampling (2024).
     """
-    if "sample_stats" not in tree.children or "log_weight" not in tree["sample_stats"]:
+    found = _weights(tree)
+    if found is None or found[1] < LEAST_WEIGHED or found[0] < (most := reliable(found[1])):
         return ""
-    weights = np.asarray(tree["sample_stats"]["log_weight"].values, float).ravel()
-    if len(weights) < LEAST_WEIGHED:
-        return ""
-    k_hat, most = smooth(weights)[1], reliable(len(weights))
-    if k_hat < most:
-        return ""
+    refined = "k_hat" in tree.attrs
     return (
-        f"importance weights of the draws by the exact likelihood have a k-hat of {k_hat:.2g} (reliable below "
-        f"{most:.2g}): the draws may not be those of the exact posterior; nuts, smc or emcee sample it"
+        f"importance weights of the draws by the exact likelihood have a k-hat of {found[0]:.2g} (reliable below "
+        f"{most:.2g}): the draws may not be those of the exact posterior; "
+        f"{'' if refined else '--refine psis may correct them, '}nuts, smc or emcee sample it"
     )
+
+
+def _weights(tree: xr.DataTree) -> tuple[float, int] | None:
+    """k-hat of a fit's importance weights and how many there were; None of a method that has none."""
+    if "k_hat" in tree.attrs:
+        return float(tree.attrs["k_hat"]), int(tree.attrs["num_weighed"])
+    if "sample_stats" not in tree.children or "log_weight" not in tree["sample_stats"]:
+        return None
+    weights = np.asarray(tree["sample_stats"]["log_weight"].values, float).ravel()
+    return smooth(weights)[1], len(weights)
 
 
 def variable_name(name: str) -> str:

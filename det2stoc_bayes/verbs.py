@@ -4,6 +4,7 @@ import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from det2stoc_bayes.errors import MethodNotApplicable, listing
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
@@ -23,17 +24,24 @@ def fit(
     seed: int = 0,
     engine: str = "c",
     num_samples: int = 1000,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
     **options: Any,
 ) -> "xarray.DataTree":
     """The posterior of psi by a method of `det2stoc_bayes.inference`; `options` are the method's own."""
     from det2stoc_bayes.inference import get_method
 
     run = get_method(method).fit
-    if progress is not None and "progress" in inspect.signature(run).parameters:
+    known = inspect.signature(run).parameters
+    for name in options:
+        if name not in known:
+            raise MethodNotApplicable(f"{method}: has no option '{name}'; allowed: {listing(list(known)[2:])}")
+    if "progress" in known:
         options["progress"] = lambda done, total: progress("sampling", done, total)
     problem = make_problem(Simulator(study, engine))
-    return run(problem, seed, num_samples=num_samples, **options)
+    progress(stage := f"fitting by {method}", 0, 1)
+    found = run(problem, seed, num_samples=num_samples, **options)
+    progress(stage, 1, 1)
+    return found
 
 
 def learned_simulator(fit: "xarray.DataTree") -> "StochasticSimulator":

@@ -2,7 +2,7 @@
 
 After the algorithm's last turn every recording's transitions are weighed by its decoder, which gives the posterior of
 psi without simulating; the exact likelihood of each draw stands beside it (`log_weight`: exact less learned), and
-says whether the posterior can be trusted.
+says whether the posterior can be trusted, and by which `refine="psis"` corrects it.
 """
 
 from collections.abc import Iterator
@@ -10,12 +10,12 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
-from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.inference._amortized import Iteration, Options, Population, iterate
 from det2stoc_bayes.inference._predictive import heldout_transitions, kept, predictions
+from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
 from det2stoc_bayes.inference._sampling import as_key, density_of, numpy_random, per_chain, seed_of
 from det2stoc_bayes.inference._surrogate import Surrogate
-from det2stoc_bayes.posterior import DataTree, Progress, build, measured, with_groups
+from det2stoc_bayes.posterior import DataTree, Progress, measured, with_groups
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.study_transitions import StudyTransitions
 from det2stoc_bayes.transitions import Transitions
@@ -34,19 +34,22 @@ def fit(
     num_iterations: int = 3,
     num_simulated: int = 10_000,
     num_steps: int = 4_000,
+    refine: Refine = "none",
     progress: Progress = lambda *_: None,
 ) -> DataTree:
     """Draws of psi under the learned likelihood; group `turns`: what each turn of the algorithm inferred.
 
     Group `simulator`: the stochastic simulator of the last turn (`learned_simulator` reads it).
 
-    `num_simulated` stretches of recordings are simulated a turn, `num_steps` steps train a turn's decoder.
+    `num_simulated` stretches of recordings are simulated a turn, `num_steps` steps train a turn's decoder. `refine`:
+    see `_refine`.
     """
     options = {
         "num_samples": num_samples,
         "num_iterations": num_iterations,
         "num_simulated": num_simulated,
         "num_steps": num_steps,
+        "refine": refine,
     }
     key = as_key(key)
     learn, draw, judge = jax.random.split(key, 3)
@@ -58,21 +61,21 @@ def fit(
         for turn in _turns(transitions, real, learn, num_iterations, num_simulated, num_steps):
             turns.append(turn)
             progress(len(turns), stages)
-        z, stats = Surrogate.of(density.problem, turns[-1], real).draws(
-            draw, NUM_CHAINS, per_chain(num_samples, NUM_CHAINS)
-        )
-        terms = density.log_likelihood_by_recording(z.reshape(-1, density.size)).reshape(*z.shape[:2], -1)
-        learned = -stats["potential_energy"] - log_prior(z)
+        each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
+        z, stats = Surrogate.of(density.problem, turns[-1], real).draws(draw, NUM_CHAINS, each)
+        drawn = Weighed.of(density, z.reshape(-1, density.size), -stats["potential_energy"].reshape(-1))
         progress(stages, stages)
-        tree = build(
+        tree = build_weighed(
             density,
-            z,
+            drawn,
+            NUM_CHAINS,
+            refine,
+            numpy_random(judge),
+            sample_stats={"diverging": stats["diverging"]},
             method="det2stoc",
             options=options,
             seed=seed_of(key),
             cost=cost,
-            sample_stats={"diverging": stats["diverging"], "log_weight": terms.sum(-1) - learned},
-            log_likelihood=terms,
         )
         simulator = turns[-1].predictive
         told = predictions(simulator, transitions, heldout, judge)

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.density import Density, log_prior
+from det2stoc_bayes.density import Density
 from det2stoc_bayes.density_jax import jax_log_prior
 from det2stoc_bayes.errors import MethodNotApplicable
+from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
 from det2stoc_bayes.inference._sampling import (
     Gradient,
     Target,
@@ -24,7 +25,7 @@ from det2stoc_bayes.inference._sampling import (
     per_chain,
     seed_of,
 )
-from det2stoc_bayes.posterior import DataTree, Progress, build, measured
+from det2stoc_bayes.posterior import DataTree, Progress, measured
 from det2stoc_bayes.problem import Problem
 
 NUM_CHAINS = 4  # independent draws; so that every method's result has the same shape
@@ -41,11 +42,12 @@ def fit(
     num_particles: int = 16,
     learning_rate: float = 0.01,
     gradient: Gradient = "auto",
+    refine: Refine = "none",
     progress: Progress | None = None,
 ) -> DataTree:
     """Draws of the guide: a Gaussian, one without correlations, or an inverse autoregressive flow.
 
-    The learning rate falls as a cosine. `sample_stats.loss` is the negative ELBO of each step.
+    The learning rate falls as a cosine. `sample_stats.loss` is the negative ELBO of each step. `refine`: see `_refine`.
     """
     from numpyro.infer import SVI, Trace_ELBO
 
@@ -56,12 +58,13 @@ def fit(
         "num_particles": num_particles,
         "learning_rate": learning_rate,
         "gradient": gradient,
+        "refine": refine,
     }
     key = as_key(key)
     with measured(problem) as cost:
         mode = mode_of(problem)
-        density = mode.density
-        target = Target(mode, numpy_random(key), gradient)
+        density, random = mode.density, numpy_random(key)
+        target = Target(mode, random, gradient)
         scale = np.diag(1.0 / np.linalg.norm(np.linalg.inv(mode.scale), axis=0)) if guide == "diagonal" else mode.scale
         center, root, log_volume = jnp.asarray(mode.center), jnp.asarray(scale), np.linalg.slogdet(scale)[1]
 
@@ -76,19 +79,20 @@ def fit(
         state, losses = advance(svi.update, svi.init(begin), num_steps, cost, progress)
         if target.exact:
             target.book(num_steps * num_particles)
-        u, log_guide = _draws(fitted, svi.get_params(state), draw, NUM_CHAINS, per_chain(num_samples, NUM_CHAINS))
+        each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
+        u, log_guide = _draws(fitted, svi.get_params(state), draw, NUM_CHAINS * each)
         z = mode.center + u @ scale.T
-        terms = target.by_recording(z)
-        log_weight = terms.sum(-1) + log_prior(z) + log_volume - log_guide
-        return build(
+        return build_weighed(
             density,
-            z,
+            Weighed.of(density, z, log_guide - log_volume),
+            NUM_CHAINS,
+            refine,
+            random,
+            sample_stats={"loss": (("step",), np.asarray(losses))},
             method="svi",
             options=options,
             seed=seed_of(key),
             cost=cost,
-            sample_stats={"log_weight": log_weight, "loss": (("step",), np.asarray(losses))},
-            log_likelihood=terms,
         )
 
 
@@ -125,11 +129,11 @@ def _adam(learning_rate: float, num_steps: int) -> Any:
 
 
 def _draws(
-    guide: Any, parameters: Any, key: jax.Array, num_chains: int, num_draws: int
-) -> tuple[Float[np.ndarray, "chain draw size"], Float[np.ndarray, "chain draw"]]:
+    guide: Any, parameters: Any, key: jax.Array, num_draws: int
+) -> tuple[Float[np.ndarray, "draws size"], Float[np.ndarray, " draws"]]:
     """Draws of a fitted guide, and their log density under it."""
     base, transform = guide.get_base_dist(), guide.get_transform(parameters)
-    seed = base.sample(key, (num_chains * num_draws,))
+    seed = base.sample(key, (num_draws,))
     u = jax.vmap(transform)(seed)
     log_density = base.log_prob(seed) - jax.vmap(transform.log_abs_det_jacobian)(seed, u)
-    return np.asarray(u).reshape(num_chains, num_draws, -1), np.asarray(log_density).reshape(num_chains, num_draws)
+    return np.asarray(u), np.asarray(log_density)

@@ -14,6 +14,7 @@ from det2stoc_bayes.engines.quiet import QUIET
 MAX_SIMULATIONS = 4096
 MAX_PERSISTENT = 512  # simulations that keep an MjData each (some 100 KB and more)
 MAX_RECORDED = 24_000_000  # numbers held at once: about 200 MB
+WORKING = 8  # numbers a step that what acts on commands takes beside
 
 
 class MujocoC:
@@ -34,7 +35,8 @@ class MujocoC:
         """Predicted values and states at the sample times, in chunks that fit in memory."""
         model = self._model(request.timestep, request.integrator)
         steps = request.segments.steps(model.opt.timestep)[request.which]
-        width = model.nq + model.nv + model.nu + model.nsensordata
+        acting = any(e.placed.effect.uses("control") for e in request.effects)
+        width = model.nq + model.nv + model.nu + model.nsensordata + WORKING * acting
         keeping = any(e.placed.effect.uses("body_force") for e in request.effects)
         most = MAX_PERSISTENT if keeping else MAX_SIMULATIONS
         length = steps.max(initial=1) + num_before(request.effects, model.opt.timestep)

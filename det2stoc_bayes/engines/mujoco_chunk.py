@@ -115,12 +115,15 @@ class Chunk:
         for name in inputs:
             few.expand(name)[:] = self.fields[name][first]
         few.set_const()
-        models = [few.get_model(i) for i in range(len(first))]
-        for name in _SET_CONST_OUTPUTS:
-            values = np.stack([np.array(getattr(m, name)) for m in models])
-            if (values != np.array(getattr(self.model, name))).any():
+        derived: dict[str, list[np.ndarray]] = {name: [] for name in _SET_CONST_OUTPUTS}
+        for i in range(len(first)):
+            one = few.get_model(i)
+            for name, values in derived.items():
+                values.append(np.array(getattr(one, name)))
+        for name, values in derived.items():
+            if any((value != np.array(getattr(self.model, name))).any() for value in values):
                 out = self.batch.expand(name)
-                out[:] = values.reshape(len(first), *out.shape[1:])[np.ravel(inverse)]
+                out[:] = np.stack(values).reshape(len(first), *out.shape[1:])[np.ravel(inverse)]
 
     def _commands(self) -> Commands:
         """Commands at every step, those before the start that still matter and the step after the last among them."""

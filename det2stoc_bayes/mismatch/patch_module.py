@@ -44,6 +44,7 @@ _ALWAYS = ("Memory", "memory_of", "copy_state", *_COLUMNS)
 _LOOP = """
     model = mujoco.MjModel.from_xml_path("patched.xml")
     data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = qpos, qvel     # as recorded
     effects.reset(model, data)                  # after each reset of data
     while True:
         data.ctrl[:] = command                  # as recorded
