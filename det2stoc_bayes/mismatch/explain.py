@@ -9,7 +9,7 @@ from det2stoc_bayes.mismatch.crossed import others_exist, untold
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence, log_told
 from det2stoc_bayes.mismatch.horizon import extend
-from det2stoc_bayes.mismatch.kin import with_kin
+from det2stoc_bayes.mismatch.kin import truer_pair, with_kin
 from det2stoc_bayes.mismatch.looks import Looks
 from det2stoc_bayes.mismatch.numerics import comparable
 from det2stoc_bayes.mismatch.race import (
@@ -68,6 +68,9 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         lean = again
     if len(grown.problem.effects) == 0:
         return Explanation(before, before, (first,), count, 1.0)
+    if len(grown.problem.effects) == 1 and not by_chance(grown):
+        own = Ranked(grown.problem.effects[0], grown, 0.0)
+        grown = truer_pair(first, own, threshold(count)) or grown
     bare = _bare(before, grown)
     if len(grown.problem.effects) == 1 and bare is before:
         own = next((r for r in first.ranked if r.placed == grown.problem.effects[0]), None)

@@ -3,16 +3,19 @@
 From the believed model, far away, the same curve may be reached under one name and missed under another.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
+from jaxtyping import Float
 
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import by_chance, effective_share, log_evidence
 from det2stoc_bayes.mismatch.race import Ranked, Slot, allowed, gain, tolerance
 from det2stoc_bayes.mismatch.screen import Screened, one_sided
-from det2stoc_bayes.optimize import fit_many
+from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 
 KIN = 0.98  # share of an effect's squared response that a rival's columns take up
@@ -40,6 +43,36 @@ def with_kin(slot: Slot, own: Ranked) -> Slot:
     return replace(slot, ranked=tuple(sorted(ranked, key=lambda r: -r.gain)))
 
 
+def truer_pair(slot: Slot, own: Ranked, needed: float) -> Fit | None:
+    """Two effects in place of one that explains all but something beyond chance; None where no two leave chance alone.
+
+    A spring is what a wrong gravity and a constant force do to small swings: alone it comes first, and next to nothing
+    is left that could be added to it.
+    """
+    starts = [start for _, start in sorted(_pair_starts(slot, own), key=lambda s: -s[0])][:MOST]
+    found = [f for f in fit_many(starts, tolerance=tolerance(own.fit)) if f is not None] if starts else []
+    first, share = len(slot.base.problem.effects), effective_share(own.fit)
+    told = {id(f): gain(own.fit, f, share) for f in found if allowed(f, first) and by_chance(f)}
+    best = max(found, key=lambda f: told.get(id(f), -np.inf), default=None)
+    return best if best is not None and told.get(id(best), -np.inf) > needed else None
+
+
+def _pair_starts(slot: Slot, own: Ranked) -> list[tuple[float, tuple[Problem, Point]]]:
+    """Pairs that take up an effect's response, by how much, each with its hypothesis where that effect's fit ended."""
+    mine = next((s for s in slot.screened if s.placed == own.placed), None)
+    if mine is None or mine.response is None:
+        return []
+    wanted = (mine.response @ mine.coefficients).ravel()
+    trials = [t for s in slot.screened if s.placed != own.placed for t in (s, *s.others) if t.response is not None]
+    found: dict[frozenset[PlacedEffect], tuple[float, tuple[Problem, Point]]] = {}
+    for a, b in combinations(trials, 2):
+        share, coefficients = _taken_up(wanted, a, b) if a.placed != b.placed else (0.0, np.zeros(0))
+        key = frozenset((a.placed, b.placed))
+        if share > max(KIN, found[key][0] if key in found else 0.0):
+            found[key] = share, _start(own, [a, b], np.split(coefficients, [len(a.trial.columns)]))
+    return list(found.values())
+
+
 def _starts(slot: Slot, own: Ranked) -> list[tuple[PlacedEffect, tuple[Problem, Point]]]:
     """Kin, closest first, each with its hypothesis and the effect's own unknowns beside matching ones of its own."""
     mine = next((s for s in slot.screened if s.placed == own.placed), None)
@@ -49,28 +82,36 @@ def _starts(slot: Slot, own: Ranked) -> list[tuple[PlacedEffect, tuple[Problem, 
     least, found = RELATED if slot.base.problem.effects else KIN if by_chance(own.fit) else AKIN, []
     for s in slot.screened:
         if s.placed != own.placed:
-            share, trial, coefficients = max((_matched(t, wanted) for t in (s, *s.others)), key=lambda m: m[0])
+            matched = [(*_taken_up(wanted, t), t) for t in (s, *s.others)]
+            share, coefficients, trial = max(matched, key=lambda m: m[0])
             if share > least:
-                found.append((share, s.placed, _start(own, trial, coefficients)))
+                found.append((share, s.placed, _start(own, [trial], [coefficients])))
     return [(placed, start) for _, placed, start in sorted(found, key=lambda f: -f[0])]
 
 
-def _matched(trial: Screened, wanted: np.ndarray) -> tuple[float, Screened, np.ndarray]:
-    """The share of a response that a trial's columns take up, and their coefficients."""
-    total = float(wanted @ wanted)
-    if trial.response is None or not total:
-        return 0.0, trial, np.zeros(0)
-    x = trial.response.reshape(len(wanted), -1)
+def _taken_up(wanted: Float[np.ndarray, " values"], *trials: Screened) -> tuple[float, Float[np.ndarray, " columns"]]:
+    """The share of a response that trials' columns take up together, and their coefficients."""
+    total, responses = float(wanted @ wanted), [t.response for t in trials if t.response is not None]
+    if not total or len(responses) < len(trials):
+        return 0.0, np.zeros(0)
+    x = np.concatenate([r.reshape(len(wanted), -1) for r in responses], 1)
     coefficients = np.linalg.lstsq(x, wanted, rcond=None)[0]
-    if (coefficients[one_sided(trial.placed, trial.trial)] < 0).any():
-        return 0.0, trial, coefficients
+    positive = np.concatenate([one_sided(t.placed, t.trial) for t in trials])
+    if (coefficients[positive] < 0).any():
+        return 0.0, coefficients
     rest = wanted - x @ coefficients
-    return 1.0 - float(rest @ rest) / total, trial, coefficients
+    return 1.0 - float(rest @ rest) / total, coefficients
 
 
-def _start(own: Ranked, s: Screened, coefficients: np.ndarray) -> tuple[Problem, Point]:
-    fit, effect, typical = own.fit, s.placed.effect, s.placed.typical
-    values = effect.combine(s.trial, coefficients, typical)
-    block = np.maximum(effect.to_normal(values, typical), effect.floor(typical))
-    z = np.concatenate([fit.point.z[: fit.problem.size - own.placed.size], block])
-    return fit.problem.with_effects((*fit.problem.effects[:-1], s.placed)), Point(z, fit.point.start)
+def _start(
+    own: Ranked, trials: Sequence[Screened], coefficients: Sequence[Float[np.ndarray, " columns"]]
+) -> tuple[Problem, Point]:
+    """The hypothesis with trials in an effect's place, its other unknowns as its fit has them."""
+    fit, blocks = own.fit, []
+    for s, values in zip(trials, coefficients, strict=True):
+        effect, typical = s.placed.effect, s.placed.typical
+        block = effect.to_normal(effect.combine(s.trial, values, typical), typical)
+        blocks.append(np.maximum(block, effect.floor(typical)))
+    z = np.concatenate([fit.point.z[: fit.problem.size - own.placed.size], *blocks])
+    problem = fit.problem.with_effects((*fit.problem.effects[:-1], *(s.placed for s in trials)))
+    return problem, Point(z, fit.point.start)

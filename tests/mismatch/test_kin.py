@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import fit, place, spring_problem
+from conftest import make_study, model_xml
+from simulated import PENDULUM, fit, noise_table, place, pose, recordings, spring_problem
 
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch import kin
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_evidence
-from det2stoc_bayes.mismatch.kin import with_kin
+from det2stoc_bayes.mismatch.kin import truer_pair, with_kin
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 from det2stoc_bayes.mismatch.screen import screen
 from det2stoc_bayes.optimize import fit_many
@@ -65,3 +66,43 @@ def test_beside_another_effect_distant_rivals_start_from_there_as_well(drag):
         assert [placed for placed, _ in starts] == expected
         for _, (_, point) in starts:  # everything else stays where it is
             np.testing.assert_array_equal(point.z[: base.problem.size], best.point.z[: base.problem.size])
+
+
+@pytest.fixture(scope="module")
+def swings(tmp_path_factory):
+    """Swings under weaker gravity and a constant force, and what a spring, which comes first, makes of them."""
+
+    def change(model):
+        model.opt.gravity[2] += 3.0
+
+    def push(model, data):
+        data.qfrc_applied[0] = 0.1
+
+    xml, noise = model_xml(PENDULUM), (1e-3, 1e-2)
+    psi = '[psi.damping]\ntarget = "joint/pivot/damping"\nprior = { LogNormal = { loc = -3.0, scale = 0.3 } }\n'
+    starts = [([0.9], [0.0]), ([-0.3], [2.0]), ([0.1], [-1.2])]
+    made = recordings(xml, starts, 10 * np.arange(100), noise, change=change, push=push)
+    study = make_study(tmp_path_factory.mktemp("swings") / "study", xml, psi + noise_table(*noise), made)
+    problem = pose(study)
+    base = fit(problem)
+    pool = [place(problem, n, e) for n, e in (("joint_spring", "pivot"), ("constant_force", "pivot"))]
+    pool += [place(problem, "gravity_error", "world"), place(problem, "coulomb_friction", "pivot")]
+    alone = fit(problem.with_effects(pool[:1]), np.zeros(base.problem.size + 2), max_iterations=20)
+    return Slot(base, tuple(screen(base, pool)), ()), Ranked(pool[0], alone, 0.0), pool
+
+
+def test_two_effects_that_leave_only_chance_are_truer_than_one_that_does_not(swings):
+    slot, own, pool = swings
+    assert own.fit.noise_inflation > 1.2  # measured: 3.5
+    found = truer_pair(slot, own, needed=10.0)
+    assert set(found.problem.effects) == {pool[1], pool[2]}
+    values = dict(zip(found.problem.names, [*found.problem.constrained(found.point.z).values()], strict=True))
+    assert values["gravity_error[world].change"] == pytest.approx(3.0, abs=0.3)
+    assert values["constant_force[pivot].force"] == pytest.approx(0.1, abs=0.01)
+
+
+def test_two_effects_must_earn_their_place(swings):
+    slot, own, _ = swings
+    assert truer_pair(slot, own, needed=1e6) is None
+    bare = replace(slot, screened=tuple(replace(s, response=None, others=()) for s in slot.screened))
+    assert truer_pair(bare, own, needed=10.0) is None

@@ -49,6 +49,11 @@ def everywhere(scene: Scene, element: str) -> bool:
     return True
 
 
+def in_medium(scene: Scene, element: str) -> bool:
+    """An effect of a fluid."""
+    return scene.model.opt.density > 0.0 or scene.model.opt.viscosity > 0.0
+
+
 def nothing(rng: np.random.Generator, scene: Scene, element: str) -> Parameters:
     """No parameter beside the size."""
     return {}

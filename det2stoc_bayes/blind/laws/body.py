@@ -5,7 +5,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from det2stoc_bayes.blind.laws.base import Force, Law, Parameters, Scene, direction, is_free
+from det2stoc_bayes.blind.laws.base import Force, Law, Parameters, Scene, direction, in_medium, is_free
 
 
 def _on_centre(formula: Callable[[float, np.ndarray, np.ndarray], np.ndarray]):
@@ -50,6 +50,12 @@ def _payload(model: mujoco.MjModel, element: str, p: Parameters) -> None:
         axes[:, 0] *= -1.0
     model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = own + extra, new_centre, moments
     mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
+
+
+def _symmetric(model: mujoco.MjModel, element: str) -> bool:
+    """Whether moments are equal: their axes, on which MuJoCo's drag depends, would jump with the payload."""
+    small, middle, large = np.sort(model.body(element).inertia)
+    return bool(min(middle - small, large - middle) < 0.01 * large)
 
 
 def _mass(model: mujoco.MjModel, element: str, p: Parameters) -> None:
@@ -104,6 +110,7 @@ BODY_LAWS: dict[str, Law] = {
         lambda scene, body: scene.body[body]["mass"],
         lambda m, drawn: {"mass": m, **drawn},
         draw=_draw_place,
+        fits=lambda scene, body: not (in_medium(scene, body) and _symmetric(scene.model, body)),
         prepare=_payload,
     ),
     "mass_error": Law(

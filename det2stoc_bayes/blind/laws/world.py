@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from det2stoc_bayes.blind.laws.base import Force, Law, Parameters, Scene, direction
+from det2stoc_bayes.blind.laws.base import Force, Law, Parameters, direction, in_medium
 from det2stoc_bayes.blind.laws.joint import draw_oscillation
 
 
@@ -31,10 +31,6 @@ def _gusts(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
     return blow
 
 
-def _in_medium(scene: Scene, element: str) -> bool:
-    return scene.model.opt.density > 0.0 or scene.model.opt.viscosity > 0.0
-
-
 WORLD_LAWS: dict[str, Law] = {
     "gravity_tilt": Law(
         "world",
@@ -59,7 +55,7 @@ WORLD_LAWS: dict[str, Law] = {
         lambda scene, element: 8.0,
         lambda m, drawn: {"velocity": m * drawn["axis"]},
         draw=direction,
-        fits=_in_medium,
+        fits=in_medium,
         prepare=_wind,
     ),
     "periodic_wind": Law(
@@ -68,7 +64,7 @@ WORLD_LAWS: dict[str, Law] = {
         lambda scene, element: 1.0,
         lambda m, drawn: {"amplitude": m, **drawn},
         draw=draw_oscillation,
-        fits=lambda scene, element: _in_medium(scene, element) and bool(np.any(scene.model.opt.wind)),
+        fits=lambda scene, element: in_medium(scene, element) and bool(np.any(scene.model.opt.wind)),
         push=_gusts,
     ),
 }

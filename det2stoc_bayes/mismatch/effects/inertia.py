@@ -6,6 +6,7 @@ from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, normal,
 from det2stoc_bayes.mismatch.effects.body import BodyEffect
 from det2stoc_bayes.priors import Prior
 
+SPLIT = 1e-9  # of the moments' sum, by which equal ones are told apart
 REACH = 2.5  # radii of gyration from a body's frame within which a payload is looked for first
 
 
@@ -109,11 +110,14 @@ class PayloadMass(BodyEffect):
         mass, centre = fields["body_mass"][..., at.body], fields["body_ipos"][..., at.body, :]
         total = mass + p["mass"]
         joint = (mass[..., None] * centre + p["mass"][..., None] * p["offset"]) / total[..., None]
-        axes = rotation(fields["body_iquat"][..., at.body, :], xp)
+        own = rotation(fields["body_iquat"][..., at.body, :], xp)
         moments = fields["body_inertia"][..., at.body, :]
-        tensor = xp.einsum("...ik,...k,...jk->...ij", axes, moments, axes)
+        tensor = xp.einsum("...ik,...k,...jk->...ij", own, moments, own)
         tensor = tensor + point_inertia(mass, centre - joint, xp) + point_inertia(p["mass"], p["offset"] - joint, xp)
-        moments, axes = xp.linalg.eigh(tensor)
+        # Among equal moments any axes would do, but a fluid's drag depends on them: the body's own are the nearest.
+        split = SPLIT * xp.sum(moments, -1)[..., None] * np.arange(3.0)
+        _, axes = xp.linalg.eigh(tensor + xp.einsum("...ik,...k,...jk->...ij", own, split, own))
+        moments = xp.einsum("...ki,...kl,...li->...i", axes, tensor, axes)
         axes = axes * xp.sign(xp.linalg.det(axes))[..., None, None]
         row = onehot(fields["body_mass"].shape[-1], at.body) > 0
         vectors = {"body_ipos": joint, "body_inertia": moments, "body_iquat": quaternion(axes, xp)}
