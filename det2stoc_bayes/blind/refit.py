@@ -67,10 +67,15 @@ def absorbable(probe: Probe) -> np.ndarray:
     return np.linalg.qr(alone.jacobian(alone.initial))[0]
 
 
-def beside(basis: np.ndarray, probe: Probe, changed: Sequence[np.ndarray]) -> float:
-    """RMS in noise sds that remains of a change to first order; infinite where a simulation diverged."""
-    noise = probe.system.noise()
-    change = np.concatenate([((c - p) / noise).ravel() for c, p in zip(changed, probe.plain, strict=True)])
+def beside(
+    basis: np.ndarray, probe: Probe, changed: Sequence[np.ndarray], reference: Sequence[np.ndarray] | None = None
+) -> float:
+    """RMS in noise sds that remains of a change to first order; infinite where a simulation diverged.
+
+    The change is from recordings without any effect, or from the reference.
+    """
+    noise, reference = probe.system.noise(), probe.plain if reference is None else reference
+    change = np.concatenate([((c - r) / noise).ravel() for c, r in zip(changed, reference, strict=True)])
     if not np.isfinite(change).all():
         return np.inf
     return float(np.sqrt(np.mean((change - basis @ (basis.T @ change)) ** 2)))

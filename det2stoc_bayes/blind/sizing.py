@@ -16,7 +16,7 @@ WITHIN = 0.1  # of the wanted size, relatively
 REFITS, TRIALS = 3, 10  # at most, for one size
 KEPT = 1.5  # RMS in noise sds that the other effect of a pair must leave of each
 COARSE = (0.0025, 0.005, 0.01, 0.015, 0.02)  # believed timesteps when the integration is what is wrong
-FLAT = 0.3  # noise sds: a component of a vector that changes less is not asked for
+FLAT = 0.3  # noise sds: a component of a vector of which less remains is not asked for
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,8 @@ def both_kept(probe: Probe, first: Found, second: Found) -> bool:
 
 
 def judged_components(probe: Probe, effect: Effect) -> dict[str, list[int]]:
-    """For each parameter that has directions the components (a scalar has 0) that the recordings depend on."""
-    result, reference, noise = {}, probe.with_effects(effect), probe.system.noise()
+    """For each parameter that has directions the components (a scalar has 0) of which psi does not take up all."""
+    result, reference, basis = {}, probe.with_effects(effect), absorbable(probe)
     for key, value in effect.parameters.items():
         if not isinstance(value, list) and key not in LAWS[effect.name].axes:
             continue
@@ -140,7 +140,6 @@ def judged_components(probe: Probe, effect: Effect) -> dict[str, list[int]]:
             neutral = 1.0 if key == "ratio" else 0.0
             without = [v if j != i else neutral for j, v in enumerate(value)] if isinstance(value, list) else neutral
             other = probe.with_effects(replace(effect, parameters={**effect.parameters, key: without}))
-            change = [np.mean(((a - b) / noise) ** 2) for a, b in zip(reference, other, strict=True)]
-            if np.sqrt(np.mean(change)) > FLAT:
+            if beside(basis, probe, other, reference) > FLAT:
                 result[key].append(i)
     return result

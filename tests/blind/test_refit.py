@@ -7,11 +7,11 @@ import pytest
 
 from det2stoc_bayes.blind.conceal import make_case
 from det2stoc_bayes.blind.equivalents import accepted
-from det2stoc_bayes.blind.laws import Effect
+from det2stoc_bayes.blind.laws import LAWS, Effect
 from det2stoc_bayes.blind.probe import draw_probe
 from det2stoc_bayes.blind.reality import simulate_reality
 from det2stoc_bayes.blind.refit import refit
-from det2stoc_bayes.blind.sizing import KEPT, both_kept, clash, find
+from det2stoc_bayes.blind.sizing import KEPT, both_kept, clash, find, judged_components
 from det2stoc_bayes.blind.systems import SYSTEMS
 
 
@@ -28,6 +28,18 @@ def test_a_size_is_what_a_refit_leaves():
     # the fit that knows the effect leaves nothing
     start = Effect("com_offset", "body", "jib", {"offset": [1e-3, 1e-3, 1e-3]})
     assert refit(probe, probe.with_effects(found.effect), [start]).left < 0.02
+
+
+def test_components_that_psi_takes_up_are_not_asked_for():
+    """The ball's psi is the wind along x."""
+    wind = Effect("steady_wind", "world", "world", {"velocity": [0.5, 0.5, 0.0]})
+    assert judged_components(probe_of("ball", samples=100), wind) == {"velocity": [1]}
+
+
+def test_no_payload_where_its_axes_would_jump():
+    """MuJoCo's drag is along the axes of the inertia, which are any where moments are equal."""
+    assert not LAWS["payload_mass"].fits(probe_of("ball").scene, "ball")
+    assert LAWS["payload_mass"].fits(probe_of("arm").scene, "forearm")
 
 
 def test_a_psi_that_varies_absorbs_what_differs_by_recording():

@@ -8,7 +8,7 @@ from conftest import ARM, MOTORS, blank_recording, make_study, model_xml, state_
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.engines.mujoco_c import MujocoC
-from det2stoc_bayes.mismatch.effects import Element, PlacedEffect, Typical
+from det2stoc_bayes.mismatch.effects import CATALOGUE, Element, PlacedEffect, Typical
 from det2stoc_bayes.segments import cut
 from det2stoc_bayes.simulator import Simulator
 
@@ -333,3 +333,19 @@ def test_a_body_whose_frames_are_one_can_be_changed(tmp_path, form):
         q += 0.002 * v
         expected.append((q, v))
     np.testing.assert_allclose(found, np.array(expected)[::10], atol=1e-9)
+
+
+def test_a_payload_turns_equal_moments_no_further_than_it_must():
+    """Of a sphere's axes any two across the payload would do; they stay where they are as it moves by a hair."""
+    effect, at = CATALOGUE["payload_mass"], Element("body", "ball", body=1)
+    still = {
+        "body_mass": np.array([[0.0, 0.12]] * 2),
+        "body_ipos": np.zeros((2, 2, 3)),
+        "body_inertia": np.full((2, 2, 3), 1e-3),
+        "body_iquat": np.broadcast_to([1.0, 0, 0, 0], (2, 2, 4)),
+    }
+    near = np.array([[0.1, 0.02, -0.03], [0.1, 0.02, -0.03 + 1e-7]])
+    found = effect.fields({"mass": np.full(2, 2e-3), "offset": near}, still, at, np)
+    first, second = found["body_iquat"][:, 1]
+    assert 1 - abs(first @ second) < 1e-6
+    np.testing.assert_allclose(*found["body_inertia"][:, 1], rtol=1e-5)
