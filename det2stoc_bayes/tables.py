@@ -103,7 +103,16 @@ def fit_json(
     """A fit's summary, and where the whole of it is."""
     about = {
         k: attributes[k]
-        for k in ("method", "engine", "seed", "seconds_run", "simulations", "noise_inflation")
+        for k in (
+            "method",
+            "engine",
+            "seed",
+            "seconds_run",
+            "simulations",
+            "noise_inflation",
+            "k_hat",
+            "effective_draws",
+        )
         if k in attributes
     }
     found = about | {"file": path, "parameters": [vars(r) for r in rows]}

@@ -1,19 +1,20 @@
 """Importance resampling: an approximate posterior's draws, moved and weighed until they stand for the exact one.
 
 Weights are Pareto-smoothed (Vehtari et al. 2024). Where their tail is too heavy, all draws are moved to the weighted
-draws' moments, and weighed anew (Paananen et al. 2021, algorithm 1; all draws go along, since the posterior itself is
-wanted and no single expectation).
+draws' moments, and weighed anew: moment matching (Paananen et al. 2021, algorithm 1; all draws go along, since the
+posterior itself is wanted and no single expectation).
 """
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from det2stoc_bayes.density import Density, log_prior
+from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged, listing
 from det2stoc_bayes.posterior import DataTree, build
 from det2stoc_bayes.psis import smooth
 
@@ -26,24 +27,31 @@ FEW = 3.0  # effective draws an unknown: of fewer no covariance is told
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """Draws of an approximation, their log likelihood by recording, and log target - log approximation."""
+    """Draws of a proposal, their log likelihood by recording, and their log density under the proposal.
+
+    The latter may lack a constant.
+    """
 
     z: Float[np.ndarray, "draws size"]
     terms: Float[np.ndarray, "draws recordings"]
-    log_weight: Float[np.ndarray, " draws"]
+    proposal: Float[np.ndarray, " draws"]
 
     @classmethod
     def of(
-        cls, density: Density, z: Float[np.ndarray, "draws size"], approximation: Float[np.ndarray, " draws"]
+        cls, density: Density, z: Float[np.ndarray, "draws size"], proposal: Float[np.ndarray, " draws"]
     ) -> "Weighed":
-        """Draws and their log density under the approximation, which may lack a constant."""
+        """Draws weighed by the exact likelihood; SimulationDiverged where no simulation of one stays finite."""
         terms = density.log_likelihood_by_recording(z)
-        return cls(z, terms, terms.sum(1) + log_prior(z) - approximation)
+        if not np.isfinite(terms).all(1).any():
+            raise SimulationDiverged(
+                f"of {len(z)} draws of the approximation not one can be simulated; allowed: another method, as smc"
+            )
+        return cls(z, terms, proposal)
 
-    @cached_property
-    def approximation(self) -> Float[np.ndarray, " draws"]:
-        """log density of the draws under the approximation."""
-        return self.terms.sum(1) + log_prior(self.z) - self.log_weight
+    @property
+    def log_weight(self) -> Float[np.ndarray, " draws"]:
+        """log target - log proposal."""
+        return self.terms.sum(1) + log_prior(self.z) - self.proposal
 
     @cached_property
     def _smoothed(self) -> tuple[Float[np.ndarray, " draws"], float]:
@@ -73,13 +81,15 @@ class Weighed:
     def moved(
         self, density: Density, stretch: Float[np.ndarray, "size size"], to: Float[np.ndarray, " size"]
     ) -> "Weighed":
-        """The draws stretched about their mean, which goes to `to`; the approximation's density goes along."""
+        """The draws stretched about their mean, which goes to `to`; the proposal's density goes along."""
         z = to + (self.z - self.z.mean(0)) @ stretch.T
-        return self.of(density, z, self.approximation - np.linalg.slogdet(stretch)[1])
+        return self.of(density, z, self.proposal - np.linalg.slogdet(stretch)[1])
 
 
 def num_proposed(num_samples: int, refine: Refine) -> int:
-    """Draws to take of the approximation."""
+    """Draws to take of the proposal; a MethodNotApplicable lists what `refine` may be."""
+    if refine not in get_args(Refine):
+        raise MethodNotApplicable(f"refine: found {refine!r}; allowed: {listing(get_args(Refine))}")
     return num_samples * (SURPLUS if refine == "psis" else 1)
 
 
@@ -117,7 +127,10 @@ def build_weighed(
 
 
 def matched(density: Density, drawn: Weighed) -> tuple[Weighed, int]:
-    """The draws moved as often as that makes their weights better, and how often; a move simulates each draw once."""
+    """The draws moved as often as that makes their weights better, and how often.
+
+    Each of up to three moves that are tried simulates every draw once.
+    """
     for moves in range(MOST_MOVES):
         enough = drawn.k_hat <= ENOUGH and drawn.effective >= len(drawn.z) / SURPLUS
         better = None if enough else next((m for m in _moves(density, drawn) if m.beats(drawn)), None)

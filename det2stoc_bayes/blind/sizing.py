@@ -32,7 +32,13 @@ class Found:
 def combinations(probe: Probe, effect: str | None = None) -> list[tuple[str, str]]:
     """(effect, element) pairs that this system may conceal."""
     scene, names = probe.scene, (LAWS if effect is None else (effect,))
-    return [(n, e) for n in names for e in scene.names(LAWS[n].kind) if LAWS[n].fits(scene, e)]
+    laws = {n: LAWS[n] for n in names}
+    return [
+        (n, e)
+        for n, law in laws.items()
+        for e in scene.names(law.kind)
+        if law.fits(scene, e) and law.definite(scene, e)
+    ]
 
 
 def draw_size(rng: np.random.Generator) -> float:
@@ -130,7 +136,7 @@ def both_kept(probe: Probe, first: Found, second: Found) -> bool:
 
 
 def judged_components(probe: Probe, effect: Effect) -> dict[str, list[int]]:
-    """For each parameter that has directions the components (a scalar has 0) of which psi does not take up all."""
+    """For each parameter with directions the components (a scalar has 0) that psi and initial states do not take up."""
     result, reference, basis = {}, probe.with_effects(effect), absorbable(probe)
     for key, value in effect.parameters.items():
         if not isinstance(value, list) and key not in LAWS[effect.name].axes:

@@ -63,7 +63,10 @@ def _pair_starts(slot: Slot, own: Ranked) -> list[tuple[float, tuple[Problem, Po
     if mine is None or mine.response is None:
         return []
     wanted = (mine.response @ mine.coefficients).ravel()
-    trials = [t for s in slot.screened if s.placed != own.placed for t in (s, *s.others) if t.response is not None]
+    rivals = [s for s in slot.screened if s.placed != own.placed]
+    # What takes up the response by itself is kin alone: beside it a second effect would be a passenger.
+    rivals = [s for s in rivals if max(_taken_up(wanted, t)[0] for t in (s, *s.others)) <= KIN]
+    trials = [t for s in rivals for t in (s, *s.others) if t.response is not None]
     found: dict[frozenset[PlacedEffect], tuple[float, tuple[Problem, Point]]] = {}
     for a, b in combinations(trials, 2):
         share, coefficients = _taken_up(wanted, a, b) if a.placed != b.placed else (0.0, np.zeros(0))

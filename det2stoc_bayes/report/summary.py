@@ -48,20 +48,24 @@ def summarize(fit: xr.DataTree) -> list[Row]:
     """Every variable of the posterior group; further dimensions as `friction[drop_03]`."""
     if "posterior" not in fit.children:
         return []
-    times = _autocorrelation_times(fit)
+    times, effective = _autocorrelation_times(fit), fit.attrs.get("effective_draws")
     rows = []
     for name, data in fit.children["posterior"].to_dataset().data_vars.items():
         data = data.transpose("chain", "draw", ...)
         for index in np.ndindex(data.shape[2:]):
             labels = [str(data[d].values[i]) for d, i in zip(data.dims[2:], index, strict=True)]
             label = f"{name}[{', '.join(labels)}]" if labels else str(name)
-            rows.append(_row(label, data.values[(slice(None), slice(None), *index)], times.get(str(name))))
+            draws = data.values[(slice(None), slice(None), *index)]
+            rows.append(_row(label, draws, times.get(str(name)), effective))
     return rows
 
 
-def _row(name: str, draws: np.ndarray, kept_per_time: float | None) -> Row:
+def _row(name: str, draws: np.ndarray, kept_per_time: float | None, effective: float | None) -> Row:
+    """`effective`: what weights were worth by which draws were resampled in random order, which no chain shows."""
     low, high = np.quantile(draws, INTERVAL)
-    if kept_per_time is None:
+    if effective is not None:
+        r_hat, ess = None, min(draws.size, effective)
+    elif kept_per_time is None:
         r_hat = _number(array_stats.rhat(draws, chain_axis=0, draw_axis=1)) if draws.shape[0] > 1 else None
         ess = _number(array_stats.ess(draws, chain_axis=0, draw_axis=1))
     else:

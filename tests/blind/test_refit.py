@@ -11,7 +11,7 @@ from det2stoc_bayes.blind.laws import LAWS, Effect
 from det2stoc_bayes.blind.probe import draw_probe
 from det2stoc_bayes.blind.reality import simulate_reality
 from det2stoc_bayes.blind.refit import refit
-from det2stoc_bayes.blind.sizing import KEPT, both_kept, clash, find, judged_components
+from det2stoc_bayes.blind.sizing import KEPT, both_kept, clash, combinations, find, judged_components
 from det2stoc_bayes.blind.systems import SYSTEMS
 
 
@@ -38,8 +38,12 @@ def test_components_that_psi_takes_up_are_not_asked_for():
 
 def test_no_payload_where_its_axes_would_jump():
     """MuJoCo's drag is along the axes of the inertia, which are any where moments are equal."""
-    assert not LAWS["payload_mass"].fits(probe_of("ball").scene, "ball")
-    assert LAWS["payload_mass"].fits(probe_of("arm").scene, "forearm")
+    scene = probe_of("ball").scene
+    assert not LAWS["payload_mass"].definite(scene, "ball")
+    assert "payload_mass" not in {name for name, _ in combinations(probe_of("ball"))}
+    scene.model.body("ball").inertia[:] = 1.0, 1.2, 1.5
+    assert LAWS["payload_mass"].definite(scene, "ball")
+    assert LAWS["payload_mass"].definite(probe_of("arm").scene, "forearm")  # there is no fluid
 
 
 def test_a_psi_that_varies_absorbs_what_differs_by_recording():

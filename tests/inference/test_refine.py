@@ -1,14 +1,19 @@
 """Importance resampling of draws that are not the posterior's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from det2stoc_bayes.density import log_prior
+from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged
 from det2stoc_bayes.inference import laplace, svi
 from det2stoc_bayes.inference._refine import Weighed, matched
 from det2stoc_bayes.inference._sampling import density_of
 from det2stoc_bayes.models import linear_gaussian
 from det2stoc_bayes.posterior import unreliable
+from det2stoc_bayes.report.summary import summarize
+from det2stoc_bayes.study import load_study
 from det2stoc_bayes.verbs import fit
 
 NAMES = ["gravity_x", "gravity_z"]
@@ -70,10 +75,27 @@ def test_draws_in_a_far_and_narrow_place_say_so(density):
     assert close.k_hat > 0.7 or np.linalg.norm(off) < 0.2
 
 
-def test_a_method_without_it_lists_its_options(gaussian_study):
-    from det2stoc_bayes.errors import MethodNotApplicable
-    from det2stoc_bayes.study import load_study
+def test_draws_that_diverged_come_back_with_the_others(density):
+    """Half of the draws cannot be simulated at first; where all are moved to the posterior they count again."""
+    drawn = approximation(density, 4.0, 0.5)
+    lost = replace(drawn, terms=np.where(np.arange(NUM)[:, None] % 2, -np.inf, drawn.terms))
+    close, moves = matched(density, lost)
+    assert moves > 0 and np.isfinite(close.log_weight).all() and close.effective > NUM / 4
+    off = np.linalg.solve(density.scale, close.weights @ close.z - density.center)
+    assert np.abs(off).max() < 4 / np.sqrt(close.effective)
 
+
+def test_without_a_single_simulation_there_is_nothing_to_weigh(density):
+    with pytest.raises(SimulationDiverged, match="of 50 draws"):
+        Weighed.of(density, np.full((50, density.size), np.nan), np.zeros(50))
+
+
+def test_effective_draws_are_those_of_the_weights(gaussian_problem):
+    tree = laplace.fit(gaussian_problem, 0, num_samples=200, refine="psis")
+    tree.attrs["effective_draws"] = 37.0
+    assert all(row.ess == 37.0 and row.r_hat is None for row in summarize(tree))
+
+
+def test_a_method_without_it_lists_its_options(gaussian_study):
     with pytest.raises(MethodNotApplicable, match="emcee: has no option 'refine'; allowed: num_samples"):
         fit(load_study(gaussian_study), "emcee", refine="psis")
-    assert laplace.fit  # the same through a method that has it is told above

@@ -50,7 +50,7 @@ def everywhere(scene: Scene, element: str) -> bool:
 
 
 def in_medium(scene: Scene, element: str) -> bool:
-    """An effect of a fluid."""
+    """Whether everything moves in a fluid."""
     return scene.model.opt.density > 0.0 or scene.model.opt.viscosity > 0.0
 
 
@@ -75,6 +75,7 @@ class Law:
     signed: bool = False
     axes: tuple[str, ...] = ()  # scalar parameters that are the components of one vector
     fits: Callable[[Scene, str], bool] = everywhere
+    definite: Callable[[Scene, str], bool] = everywhere  # whether its simulation is: else it is not concealed
     prepare: Callable[[mujoco.MjModel, str, Parameters], None] | None = None
     push: Callable[[mujoco.MjModel, str, Parameters], Force] | None = None
     receive: Callable[[mujoco.MjModel, int, Parameters], Mapping] | None = None

@@ -110,7 +110,7 @@ BODY_LAWS: dict[str, Law] = {
         lambda scene, body: scene.body[body]["mass"],
         lambda m, drawn: {"mass": m, **drawn},
         draw=_draw_place,
-        fits=lambda scene, body: not (in_medium(scene, body) and _symmetric(scene.model, body)),
+        definite=lambda scene, body: not (in_medium(scene, body) and _symmetric(scene.model, body)),
         prepare=_payload,
     ),
     "mass_error": Law(

@@ -114,7 +114,7 @@ class PayloadMass(BodyEffect):
         moments = fields["body_inertia"][..., at.body, :]
         tensor = xp.einsum("...ik,...k,...jk->...ij", own, moments, own)
         tensor = tensor + point_inertia(mass, centre - joint, xp) + point_inertia(p["mass"], p["offset"] - joint, xp)
-        # Among equal moments any axes would do, but a fluid's drag depends on them: the body's own are the nearest.
+        # Across equal moments any axes would do, but a fluid's drag depends on them: they must not jump.
         split = SPLIT * xp.sum(moments, -1)[..., None] * np.arange(3.0)
         _, axes = xp.linalg.eigh(tensor + xp.einsum("...ik,...k,...jk->...ij", own, split, own))
         moments = xp.einsum("...ki,...kl,...li->...i", axes, tensor, axes)
