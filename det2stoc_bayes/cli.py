@@ -81,6 +81,7 @@ def fit(
     with _reporting(debug) as stages:
         check_folder(out)
         from det2stoc_bayes import posterior, tables, verbs
+        from det2stoc_bayes.doubts import doubts
         from det2stoc_bayes.inference import get_method
         from det2stoc_bayes.recording import StudyWarning
         from det2stoc_bayes.report.summary import predicted, summarize
@@ -92,7 +93,7 @@ def fit(
         tree = verbs.fit(believed, method, **options)
         rows, told, path = summarize(tree), predicted(tree), out / "fit.nc"
         posterior.save(tree, path)
-        for doubt in filter(None, (posterior.misfit(tree), posterior.beyond_prior(tree), posterior.unreliable(tree))):
+        for doubt in doubts(tree):
             warnings.warn(doubt, StudyWarning, stacklevel=1)
     count = posterior.num_draws(tree)
     title = f"{believed.name}, {method}: {f'{count} draws' if count else 'predictions'} in {path}"

@@ -208,7 +208,7 @@ def test_an_interruption_is_one_line(study):
     line += ["--num-samples", "10000000"]
     process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=study)
     assert process.stderr is not None
-    assert process.stderr.readline() == "sampling\n"
+    assert [process.stderr.readline() for _ in range(2)] == ["fitting by nuts\n", "sampling\n"]
     time.sleep(0.2)
     process.send_signal(signal.SIGINT)
     try:

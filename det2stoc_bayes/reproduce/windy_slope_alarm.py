@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from det2stoc_bayes.doubts import ALARM
 from det2stoc_bayes.inference._amortized import Options, Population, iterate
 from det2stoc_bayes.models import windy_slope
-from det2stoc_bayes.posterior import ALARM
 from det2stoc_bayes.reproduce.windy_slope_work import REAL_EPISODES, Work
 from det2stoc_bayes.transitions import Transitions
 

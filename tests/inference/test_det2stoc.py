@@ -11,13 +11,14 @@ from scipy.linalg import expm
 from simulated import SPRING, SPRING_PSI, add_holdout, noise_table, pose, recordings
 
 from det2stoc_bayes import learned_simulator
+from det2stoc_bayes.doubts import beyond_prior
 from det2stoc_bayes.errors import Det2StocError, MethodNotApplicable
 from det2stoc_bayes.inference import baseline_cvae, det2stoc
 from det2stoc_bayes.inference._amortized import Population, _split
 from det2stoc_bayes.inference._cvae import Cvae, standard_normal
 from det2stoc_bayes.inference._episodes import Episodes
 from det2stoc_bayes.inference._surrogate import Surrogate
-from det2stoc_bayes.posterior import beyond_prior, load, save
+from det2stoc_bayes.posterior import load, save
 from det2stoc_bayes.report.summary import predicted, summarize
 from det2stoc_bayes.study import load_study
 from det2stoc_bayes.study_transitions import StudyTransitions

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from det2stoc_bayes.doubts import misfit
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.inference import METHODS, get_method
-from det2stoc_bayes.posterior import ATTRIBUTES, GROUPS, load, misfit, save
+from det2stoc_bayes.posterior import ATTRIBUTES, GROUPS, load, save
 
 OWN = ("blackjax_nuts", "emcee", "laplace", "nuts", "prior", "smc", "svi")
 SAMPLERS = ("blackjax_nuts", "emcee", "nuts", "smc", "svi")

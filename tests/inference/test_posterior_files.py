@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from det2stoc_bayes.doubts import unreliable
 from det2stoc_bayes.errors import Det2StocError
-from det2stoc_bayes.posterior import load, observed_data, save, unreliable
+from det2stoc_bayes.posterior import load, observed_data, save
 from det2stoc_bayes.problem import make_problem
 
 

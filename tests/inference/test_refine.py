@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from det2stoc_bayes.density import log_prior
+from det2stoc_bayes.doubts import unreliable
 from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged
 from det2stoc_bayes.inference import laplace, svi
 from det2stoc_bayes.inference._refine import Weighed, matched
 from det2stoc_bayes.inference._sampling import density_of
 from det2stoc_bayes.models import linear_gaussian
-from det2stoc_bayes.posterior import unreliable
 from det2stoc_bayes.report.summary import summarize
 from det2stoc_bayes.study import load_study
 from det2stoc_bayes.verbs import fit
