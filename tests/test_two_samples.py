@@ -1,0 +1,44 @@
+"""Distances between sets of draws against what is known of Gaussians."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from det2stoc_bayes.two_samples import c2st, mean_errors, sd_errors, sliced_wasserstein
+
+NUM = 2000
+
+
+def gaussian(seed, shift=0.0, scale=1.0, size=2):
+    return shift + scale * np.random.default_rng(seed).standard_normal((NUM, size))
+
+
+def test_none_tells_equal_distributions_apart():
+    """An accuracy of 4000 guesses has a standard error of 0.008, and a fold lacks what the others have too much of."""
+    assert abs(c2st(gaussian(0), gaussian(1)) - 0.5) < 5 * 0.008  # measured: 0.474
+
+
+@pytest.mark.parametrize("shift", [0.5, 1.5])
+def test_the_best_classifier_of_shifted_gaussians(shift):
+    """Its accuracy is Phi(distance / 2)."""
+    best = stats.norm.cdf(shift * np.sqrt(2) / 2)
+    assert c2st(gaussian(0, shift), gaussian(1)) == pytest.approx(best, abs=3 * 0.008)
+
+
+def test_of_unequal_sets_as_many_are_taken():
+    assert abs(c2st(gaussian(0)[:500], gaussian(1)) - 0.5) < 3 * 0.016
+    assert c2st(np.zeros((100, 2)), gaussian(1)) > 0.9
+
+
+def test_sliced_wasserstein_of_a_shift():
+    """A shift d in two dimensions is d |cos| in each direction: 2 d / pi in the mean; units are the reference's."""
+    a, b = gaussian(0) * 5, gaussian(0) * 5
+    a[:, 0] += 5 * 3.0
+    assert sliced_wasserstein(a, b) == pytest.approx(3.0 * 2 / np.pi, rel=0.06)
+    assert sliced_wasserstein(gaussian(0), gaussian(1)) < 0.1
+
+
+def test_errors_of_moments():
+    a, b = gaussian(0, 1.0, 2.0), gaussian(1)
+    np.testing.assert_allclose(mean_errors(a, b), 1.0, atol=4 * np.sqrt(5 / NUM))
+    np.testing.assert_allclose(sd_errors(a, b), 1.0, atol=0.15)
