@@ -204,24 +204,23 @@ class Problem:
 
     def request(self, z: Float[np.ndarray, "variants size"], start: Start) -> Request:
         """Simulations of every segment for every variant of the unknowns; rows are variant-major."""
-        which = np.tile(np.arange(self.segments.count), len(z))
-        names = [self.segments.recordings[self.segments.recording[w]].name for w in which]
-        psi = self.psi_by_segment(z).reshape(len(which), len(self.simulator.parameters))
+        psi = self.psi_by_segment(z).reshape(len(z) * self.segments.count, len(self.simulator.parameters))
         z = np.repeat(z, self.segments.count, axis=0)
-        everywhere = slice(0, len(which))
+        everywhere = slice(0, len(z))
         effects = tuple(
             EffectRows(placed, everywhere, values)
             for placed, values in zip(self.effects, self.effect_values(z), strict=True)
         )
-        return Request(
-            self.segments,
-            which,
-            start,
-            self.simulator.fields(psi, names),
-            effects,
-            self.timestep,
-            self.integrator,
-        )
+        return self.request_under(psi, start, effects)
+
+    def request_under(
+        self, psi: Float[np.ndarray, "rows psi"], start: Start, effects: tuple[EffectRows, ...] = ()
+    ) -> Request:
+        """Simulations of every segment under psi given row by row, variant-major."""
+        which = np.tile(np.arange(self.segments.count), len(psi) // self.segments.count)
+        names = [self.segments.recordings[self.segments.recording[w]].name for w in which]
+        fields = self.simulator.fields(psi, names)
+        return Request(self.segments, which, start, fields, effects, self.timestep, self.integrator)
 
     def moved(self, start: Start, change: Float[np.ndarray, "rows states"]) -> Start:
         """Starts moved along tangent vectors (positions, velocities)."""

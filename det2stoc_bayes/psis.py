@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
@@ -32,6 +32,20 @@ def smooth(log_weights: Float[np.ndarray, " draws"]) -> tuple[Float[np.ndarray, 
     smoothed, k_hat = stats.psislw(-log_weights[finite])
     out[finite] = smoothed - logsumexp(smoothed)
     return out, float(k_hat)
+
+
+def effective_draws(weights: Float[np.ndarray, " draws"]) -> float:
+    """How many draws of equal weight would tell as much; 0 where none has any."""
+    return float(weights.sum() ** 2 / (weights**2).sum()) if weights.any() else 0.0
+
+
+def resampled(
+    weights: Float[np.ndarray, " draws"], count: int, random: np.random.Generator
+) -> Int[np.ndarray, " count"]:
+    """Rows in random order, each as often as its weight wants, give or take one: systematic resampling."""
+    at = (np.arange(count) + random.random()) / count
+    rows = np.searchsorted(np.cumsum(weights) / weights.sum(), at)
+    return random.permutation(np.minimum(rows, len(weights) - 1))
 
 
 def standard_errors(draws: Float[np.ndarray, "chain draw size"]) -> Float[np.ndarray, " size"]:

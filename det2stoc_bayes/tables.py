@@ -101,20 +101,8 @@ def fit_json(
     path: str,
 ) -> dict[str, Any]:
     """A fit's summary, and where the whole of it is."""
-    about = {
-        k: attributes[k]
-        for k in (
-            "method",
-            "engine",
-            "seed",
-            "seconds_run",
-            "simulations",
-            "noise_inflation",
-            "k_hat",
-            "effective_draws",
-        )
-        if k in attributes
-    }
+    kept = ("method", "engine", "seed", "seconds_run", "simulations", "noise_inflation", "k_hat", "effective_draws")
+    about = {k: attributes[k] for k in kept if k in attributes}
     found = about | {"file": path, "parameters": [vars(r) for r in rows]}
     return found | ({"predictions": [vars(t) for t in told]} if told else {})
 

@@ -144,6 +144,18 @@ def of_population(parameter: Parameter, mu: Array, sigma: Array, z: Array, xp: M
     return truncated_normal({"loc": mu, "scale": sigma, "low": low, "high": high}, z, library(xp))
 
 
+def population_draws(
+    parameters: Sequence[Parameter],
+    mu: Float[np.ndarray, " psi"],
+    sigma: Float[np.ndarray, " psi"],
+    normal: Float[np.ndarray, "*many psi"],
+) -> Float[np.ndarray, "*many psi"]:
+    """Draws of a population of every psi, from standard normals."""
+    return np.stack(
+        [of_population(p, *row) for p, *row in zip(parameters, mu, sigma, np.moveaxis(normal, -1, 0), strict=True)], -1
+    )
+
+
 def lay_out(parameters: Sequence[Parameter], recordings: Sequence[str], spreads: Sequence[float] | None) -> Unknowns:
     """The layout; `spreads` holds sigma of each psi that varies, None makes them unknowns."""
     blocks: list[Block] = []

@@ -11,12 +11,12 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from det2stoc_bayes.density import Density, log_prior
 from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged, listing
 from det2stoc_bayes.posterior import DataTree, build
-from det2stoc_bayes.psis import smooth
+from det2stoc_bayes.psis import effective_draws, resampled, smooth
 
 Refine = Literal["none", "psis"]
 SURPLUS = 4  # draws of the approximation for each that is wanted, lest one stand for many
@@ -70,7 +70,7 @@ class Weighed:
     @property
     def effective(self) -> float:
         """How many draws of equal weight these are worth."""
-        return float(1 / (self.weights**2).sum())
+        return effective_draws(self.weights)
 
     def beats(self, other: "Weighed") -> bool:
         """A lighter tail, or where neither is heavy, more effective draws."""
@@ -113,7 +113,7 @@ def build_weighed(
         stats = {"log_weight": drawn.log_weight.reshape(num_chains, -1), **sample_stats}
         return build(density, z, sample_stats=stats, log_likelihood=terms, **told)
     drawn, moves = matched(density, drawn)
-    rows = _systematic(drawn.weights, len(drawn.z) // SURPLUS, random)
+    rows = resampled(drawn.weights, len(drawn.z) // SURPLUS, random)
     stats = {name: value for name, value in sample_stats.items() if isinstance(value, tuple)}
     z, terms = _by_chain(drawn.z[rows], num_chains), _by_chain(drawn.terms[rows], num_chains)
     tree = build(density, z, sample_stats=stats, log_likelihood=terms, **told)
@@ -152,15 +152,6 @@ def _moves(density: Density, drawn: Weighed) -> Iterator[Weighed]:
     if size > 1 and drawn.effective > FEW * size:
         wanted, now = (np.linalg.cholesky(c) for c in ((off.T * weights) @ off, np.cov(drawn.z.T, bias=True)))
         yield drawn.moved(density, wanted @ np.linalg.inv(now), to)
-
-
-def _systematic(
-    weights: Float[np.ndarray, " proposed"], num_draws: int, random: np.random.Generator
-) -> Int[np.ndarray, " draws"]:
-    """Rows in random order, each as often as its weight wants, give or take one."""
-    edges = np.cumsum(weights) / weights.sum()
-    at = (np.arange(num_draws) + random.uniform()) / num_draws
-    return random.permutation(np.minimum(np.searchsorted(edges, at), len(weights) - 1))
 
 
 def _by_chain(rows: Float[np.ndarray, "draws _"], num_chains: int) -> Float[np.ndarray, "chain draw _"]:

@@ -16,6 +16,7 @@ from det2stoc_bayes.posterior import Cost, Progress
 from det2stoc_bayes.problem import Problem
 
 Gradient = Literal["auto", "expansion", "finite"]
+NUM_CHAINS = 4  # of independent draws, so that every method's result has the same shape
 NUM_CHECKED = 4  # points where the expansion's gradient is compared with finite differences
 TOLERATED = 0.2  # rms error of a gradient in u, whose typical size is 1
 

@@ -19,7 +19,7 @@ from det2stoc_bayes.posterior import DataTree, Progress, measured, with_groups
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.study_transitions import StudyTransitions
 from det2stoc_bayes.transitions import Transitions
-from det2stoc_bayes.unknowns import of_population
+from det2stoc_bayes.unknowns import of_population, population_draws
 
 NUM_CHAINS = 4
 FARTHEST = 2.5  # prior sds: psi of the first simulations, lest a heavy tail set the units
@@ -42,7 +42,7 @@ def fit(
     Group `simulator`: the stochastic simulator of the last turn (`learned_simulator` reads it).
 
     `num_simulated` stretches of recordings are simulated a turn, `num_steps` steps train a turn's decoder. `refine`:
-    see `_refine`.
+    "psis" resamples by the exact likelihood.
     """
     options = {
         "num_samples": num_samples,
@@ -51,6 +51,7 @@ def fit(
         "num_steps": num_steps,
         "refine": refine,
     }
+    each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
     key = as_key(key)
     learn, draw, judge = jax.random.split(key, 3)
     with measured(problem) as cost:
@@ -61,7 +62,6 @@ def fit(
         for turn in _turns(transitions, real, learn, num_iterations, num_simulated, num_steps):
             turns.append(turn)
             progress(len(turns), stages)
-        each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
         z, stats = Surrogate.of(density.problem, turns[-1], real).draws(draw, NUM_CHAINS, each)
         drawn = Weighed.of(density, z.reshape(-1, density.size), -stats["potential_energy"].reshape(-1))
         progress(stages, stages)
@@ -117,8 +117,9 @@ def _from_prior(problem: Problem, random: np.random.Generator, count: int) -> np
 
 def _drawn(problem: Problem, population: Population, random: np.random.Generator, count: int) -> np.ndarray:
     """psi of a population, within the priors' supports."""
-    pairs = zip(problem.simulator.parameters, population.loc, population.scale, strict=True)
-    return np.stack([of_population(p, loc, scale, random.standard_normal(count)) for p, loc, scale in pairs], 1)
+    parameters = problem.simulator.parameters
+    normal = random.standard_normal((len(parameters), count)).T
+    return population_draws(parameters, population.loc, population.scale, normal)
 
 
 def _told(problem: Problem, turns: list[Iteration]) -> dict:

@@ -5,15 +5,24 @@ import numpy as np
 
 from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
-from det2stoc_bayes.inference._sampling import as_key, mode_of, normal_draws, numpy_random, per_chain, seed_of
+from det2stoc_bayes.inference._sampling import (
+    NUM_CHAINS,
+    as_key,
+    mode_of,
+    normal_draws,
+    numpy_random,
+    per_chain,
+    seed_of,
+)
 from det2stoc_bayes.posterior import DataTree, measured
 from det2stoc_bayes.problem import Problem
 
-NUM_CHAINS = 4  # independent draws; so that every method's result has the same shape
-
 
 def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000, refine: Refine = "none") -> DataTree:
-    """Draws of N(mode, inverse curvature); `log_weight` is log target - log Gaussian. `refine`: see `_refine`."""
+    """Draws of N(mode, inverse curvature); `log_weight` is log target - log Gaussian.
+
+    `refine`: "psis" resamples by the exact likelihood.
+    """
     key = as_key(key)
     with measured(problem) as cost:
         mode, random = mode_of(problem), numpy_random(key)

@@ -12,15 +12,13 @@ from cmaes import CMA
 from jaxtyping import Float
 
 from det2stoc_bayes.density import Density
-from det2stoc_bayes.engines.base import Request
 from det2stoc_bayes.errors import MethodNotApplicable, SamplingFailed
-from det2stoc_bayes.inference._sampling import as_key, density_of, numpy_random, per_chain, seed_of
+from det2stoc_bayes.inference._sampling import NUM_CHAINS, as_key, density_of, numpy_random, per_chain, seed_of
 from det2stoc_bayes.metrics import energy_score
 from det2stoc_bayes.posterior import DataTree, Progress, build, measured
 from det2stoc_bayes.problem import Problem, repeat_start
-from det2stoc_bayes.unknowns import of_population
+from det2stoc_bayes.unknowns import of_population, population_draws
 
-NUM_CHAINS = 4  # independent draws; so that every method's result has the same shape
 FARTHEST = 4.0  # prior sds of mu from the prior's median
 SPREADS = (1e-3, 1.5)  # least and largest sigma, in prior sds
 FIRST = (0.0, float(np.log(0.3)), 0.5)  # mu and log sigma where the search begins, and its first step
@@ -76,28 +74,21 @@ class _Search:
         normal = random.standard_normal((num_draws, segments.count, size))
         return cls(density, normal, random.standard_normal((num_draws, *density.problem.weight.shape)))
 
-    def population(self, x: Float[np.ndarray, "*many unknowns"]) -> tuple[np.ndarray, np.ndarray]:
+    def population(
+        self, x: Float[np.ndarray, " unknowns"]
+    ) -> tuple[Float[np.ndarray, " psi"], Float[np.ndarray, " psi"]]:
         """mu and sigma of each psi, in its own units."""
-        mu = [p.prior.from_normal(x[..., 2 * i]) for i, p in enumerate(self.parameters)]
-        sigma = [np.exp(x[..., 2 * i + 1]) * p.prior.sd for i, p in enumerate(self.parameters)]
-        return np.stack(mu, -1), np.stack(sigma, -1)
-
-    def psi(self, x: Float[np.ndarray, " unknowns"], normal: Float[np.ndarray, "*many psi"]) -> np.ndarray:
-        """Draws of one population."""
-        mu, sigma = self.population(x)
-        drawn = [of_population(p, mu[i], sigma[i], normal[..., i]) for i, p in enumerate(self.parameters)]
-        return np.stack(drawn, -1)
+        mu = [p.prior.from_normal(m) for p, m in zip(self.parameters, x[::2], strict=True)]
+        sigma = [np.exp(s) * p.prior.sd for p, s in zip(self.parameters, x[1::2], strict=True)]
+        return np.array(mu), np.array(sigma)
 
     def discrepancies(self, candidates: Float[np.ndarray, "many unknowns"]) -> Float[np.ndarray, " many"]:
         """Mean energy score of the recordings' stretches, in noise sds; infinite where no simulation is left."""
-        problem, segments = self.problem, self.problem.segments
-        psi = np.stack([self.psi(x, self.normal) for x in candidates])  # candidates, draws, segments, psi
-        rows = psi.reshape(-1, psi.shape[-1])
-        which = np.tile(np.arange(segments.count), len(rows) // segments.count)
-        names = [segments.recordings[segments.recording[w]].name for w in which]
-        start = repeat_start(self.density.start, len(rows) // segments.count)
-        fields = problem.simulator.fields(rows, names)
-        request = Request(segments, which, start, fields, (), problem.timestep, problem.integrator)
+        problem, parameters = self.problem, self.parameters
+        drawn = [population_draws(parameters, *self.population(x), self.normal) for x in candidates]
+        psi = np.stack(drawn)  # candidates, draws, segments, psi
+        start = repeat_start(self.density.start, len(candidates) * len(self.normal))
+        request = problem.request_under(psi.reshape(-1, psi.shape[-1]), start)
         off = -problem.residuals(problem.simulator.rollout(request))  # of the prediction from the recorded values
         off = off.reshape(*psi.shape[:3], -1) * problem.weight + self.noise * (problem.weight > 0)
         return np.array([self._score(o) for o in off])

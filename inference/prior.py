@@ -3,12 +3,10 @@
 import jax
 
 from det2stoc_bayes.density import Density
-from det2stoc_bayes.inference._sampling import as_key, numpy_random, per_chain, seed_of
+from det2stoc_bayes.inference._sampling import NUM_CHAINS, as_key, numpy_random, per_chain, seed_of
 from det2stoc_bayes.map import find_map
 from det2stoc_bayes.posterior import DataTree, build, measured
 from det2stoc_bayes.problem import Problem
-
-NUM_CHAINS = 4  # independent draws; so that every method's result has the same shape
 
 
 def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000) -> DataTree:

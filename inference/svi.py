@@ -16,6 +16,7 @@ from det2stoc_bayes.density_jax import jax_log_prior
 from det2stoc_bayes.errors import MethodNotApplicable
 from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
 from det2stoc_bayes.inference._sampling import (
+    NUM_CHAINS,
     Gradient,
     Target,
     advance,
@@ -28,7 +29,6 @@ from det2stoc_bayes.inference._sampling import (
 from det2stoc_bayes.posterior import DataTree, Progress, measured
 from det2stoc_bayes.problem import Problem
 
-NUM_CHAINS = 4  # independent draws; so that every method's result has the same shape
 Guide = Literal["full", "diagonal", "flow"]
 
 
@@ -47,7 +47,8 @@ def fit(
 ) -> DataTree:
     """Draws of the guide: a Gaussian, one without correlations, or an inverse autoregressive flow.
 
-    The learning rate falls as a cosine. `sample_stats.loss` is the negative ELBO of each step. `refine`: see `_refine`.
+    The learning rate falls as a cosine. `sample_stats.loss` is the negative ELBO of each step. `refine`: "psis"
+    resamples by the exact likelihood.
     """
     from numpyro.infer import SVI, Trace_ELBO
 
@@ -60,6 +61,7 @@ def fit(
         "gradient": gradient,
         "refine": refine,
     }
+    each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
     key = as_key(key)
     with measured(problem) as cost:
         mode = mode_of(problem)
@@ -79,7 +81,6 @@ def fit(
         state, losses = advance(svi.update, svi.init(begin), num_steps, cost, progress)
         if target.exact:
             target.book(num_steps * num_particles)
-        each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
         u, log_guide = _draws(fitted, svi.get_params(state), draw, NUM_CHAINS * each)
         z = mode.center + u @ scale.T
         return build_weighed(

@@ -19,7 +19,7 @@ from det2stoc_bayes.errors import SamplingFailed
 from det2stoc_bayes.mismatch.coordinates import Affine, Coordinates, Population
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.populations import freed
-from det2stoc_bayes.psis import reliable, smooth
+from det2stoc_bayes.psis import effective_draws, reliable, resampled, smooth
 
 NUM_DRAWS = 1000
 TEMPERING = 60_000  # evaluations that particles take (15 moves a stage)
@@ -154,8 +154,7 @@ class _Weighted:
     @property
     def effective(self) -> float:
         """Draws of equal weight that would tell as much."""
-        w = np.exp(self.log_weights)  # normalized
-        return float(w.sum() ** 2 / (w**2).sum()) if w.any() else 0.0
+        return effective_draws(np.exp(self.log_weights))
 
     def _evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """z, tempered log likelihood by recording, and log posterior in x."""
@@ -190,10 +189,7 @@ class _Weighted:
         weights = np.exp(self.log_weights)
         if not weights.sum() > 0:
             raise SamplingFailed("no draw about the fit has a finite likelihood")
-        random = np.random.default_rng(self.seed)
-        at = (np.arange(num_draws) + random.random()) / num_draws
-        chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), at)
-        chosen = random.permutation(np.minimum(chosen, len(weights) - 1))
+        chosen = resampled(weights, num_draws, np.random.default_rng(self.seed))
         return Belief(fit, self.density, self.z[chosen], self.terms[chosen], method, self.k_hat, len(self.x))
 
     def tempered(self, fit: Fit, temper: Temper, num_draws: int) -> Belief:

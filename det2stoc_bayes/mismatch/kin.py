@@ -52,17 +52,15 @@ def truer_pair(slot: Slot, own: Ranked, needed: float) -> Fit | None:
     starts = [start for _, start in sorted(_pair_starts(slot, own), key=lambda s: -s[0])][:MOST]
     found = [f for f in fit_many(starts, tolerance=tolerance(own.fit)) if f is not None] if starts else []
     first, share = len(slot.base.problem.effects), effective_share(own.fit)
-    told = {id(f): gain(own.fit, f, share) for f in found if allowed(f, first) and by_chance(f)}
-    best = max(found, key=lambda f: told.get(id(f), -np.inf), default=None)
-    return best if best is not None and told.get(id(best), -np.inf) > needed else None
+    truer = [f for f in found if allowed(f, first) and by_chance(f) and gain(own.fit, f, share) > needed]
+    return max(truer, key=lambda f: gain(own.fit, f, share), default=None)
 
 
 def _pair_starts(slot: Slot, own: Ranked) -> list[tuple[float, tuple[Problem, Point]]]:
     """Pairs that take up an effect's response, by how much, each with its hypothesis where that effect's fit ended."""
-    mine = next((s for s in slot.screened if s.placed == own.placed), None)
-    if mine is None or mine.response is None:
+    wanted = _wanted(slot, own)
+    if wanted is None:
         return []
-    wanted = (mine.response @ mine.coefficients).ravel()
     rivals = [s for s in slot.screened if s.placed != own.placed]
     # What takes up the response by itself is kin alone: beside it a second effect would be a passenger.
     rivals = [s for s in rivals if max(_taken_up(wanted, t)[0] for t in (s, *s.others)) <= KIN]
@@ -78,10 +76,9 @@ def _pair_starts(slot: Slot, own: Ranked) -> list[tuple[float, tuple[Problem, Po
 
 def _starts(slot: Slot, own: Ranked) -> list[tuple[PlacedEffect, tuple[Problem, Point]]]:
     """Kin, closest first, each with its hypothesis and the effect's own unknowns beside matching ones of its own."""
-    mine = next((s for s in slot.screened if s.placed == own.placed), None)
-    if mine is None or mine.response is None:
+    wanted = _wanted(slot, own)
+    if wanted is None:
         return []
-    wanted = (mine.response @ mine.coefficients).ravel()
     least, found = RELATED if slot.base.problem.effects else KIN if by_chance(own.fit) else AKIN, []
     for s in slot.screened:
         if s.placed != own.placed:
@@ -90,6 +87,12 @@ def _starts(slot: Slot, own: Ranked) -> list[tuple[PlacedEffect, tuple[Problem, 
             if share > least:
                 found.append((share, s.placed, _start(own, [trial], [coefficients])))
     return [(placed, start) for _, placed, start in sorted(found, key=lambda f: -f[0])]
+
+
+def _wanted(slot: Slot, own: Ranked) -> Float[np.ndarray, " values"] | None:
+    """An effect's response, where screening kept it."""
+    mine = next((s for s in slot.screened if s.placed == own.placed), None)
+    return None if mine is None or mine.response is None else (mine.response @ mine.coefficients).ravel()
 
 
 def _taken_up(wanted: Float[np.ndarray, " values"], *trials: Screened) -> tuple[float, Float[np.ndarray, " columns"]]:

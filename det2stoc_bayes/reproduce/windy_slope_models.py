@@ -100,7 +100,7 @@ class Seed:
 
     def _marginal(self, believed: Population, last: int) -> Told:
         _, simulated = self._simulated(believed, last)
-        options, key = Options.decoding(self.work.settings.first_steps), self.work.key(MARGINAL, self.number)
+        options, key = Options.decoding(self.work.settings.decoder_steps), self.work.key(MARGINAL, self.number)
         made, _ = marginal(simulated, key, options, self.work.progress)
         return self._scored(made, MARGINAL, len(self._real(last - 1)))
 
