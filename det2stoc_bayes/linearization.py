@@ -66,10 +66,15 @@ class Linearization:
         return np.swapaxes(j, 1, 2) @ j, np.einsum("snk,sn->sk", j, r), (r**2).sum(1)
 
 
-def start_point(problem: Problem, z: Float[np.ndarray, " size"] | None = None) -> Point:
-    """The prior's median and the recorded starts, or the likeliest where some position was not recorded."""
+def start_point(
+    problem: Problem, z: Float[np.ndarray, " size"] | None = None, shorter: Linearization | None = None
+) -> Point:
+    """The prior's median and the recorded starts, or the likeliest where some position was not recorded.
+
+    `shorter` is the same hypothesis on shorter stretches, whose starts are tried too.
+    """
     z = np.zeros(problem.size) if z is None else np.asarray(z, float)
-    return Point(z, search_starts(problem, z, _linearize_starts))
+    return Point(z, search_starts(problem, z, _linearize_starts, shorter))
 
 
 def _linearize_starts(points: Sequence[tuple[Problem, np.ndarray, Start]]) -> "list[Linearization | None]":

@@ -25,19 +25,22 @@ def find_map(problem: Problem, *, max_iterations: int = 20) -> Fit:
             f"{problem.simulator.study.folder}: study.toml declares no psi, so that nothing is unknown; "
             "allowed: one [psi.NAME] at least"
         )
-    segments, z = problem.segments, None
+    segments, shorter = problem.segments, None
     for horizon in HORIZONS:
         if 2 * horizon > segments.time.shape[1]:
             continue
         short = problem.on(cut(segments.recordings, horizon, segments.columns))
-        fit = fit_many([(short, start_point(short, z))], max_iterations=max_iterations)[0]
-        z = z if fit is None else fit.point.z
-    point = start_point(problem, z)
+        begin = start_point(short, shorter and shorter.point.z, shorter)
+        fit = fit_many([(short, begin)], max_iterations=max_iterations)[0]
+        shorter = shorter if fit is None else fit.linear
+    point = start_point(problem, shorter and shorter.point.z, shorter)
     for free_scale in (True, False):
         fit = fit_many([(problem, point)], max_iterations=max_iterations, free_scale=free_scale)[0]
         if fit is None:
             raise SimulationDiverged("no simulation of the believed model stays finite over the recordings")
         point = fit.point
+        if free_scale and not problem.guess.seen.all():  # those starts are searched again under the psi that was found
+            point = start_point(problem, point.z, fit.linear)
     return fit
 
 

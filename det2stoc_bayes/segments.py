@@ -129,13 +129,14 @@ def cut(
 ) -> Segments:
     """Recordings cut into stretches of about `num_samples` samples; None leaves each whole.
 
-    Neighbours share no sample. A recording is divided evenly, so that no short rest is left over.
+    Neighbours share no sample. A recording is halved, its halves too ..., so that longer stretches begin where shorter
+    ones do, and no short rest is left over.
     """
     columns = all_columns(recordings) if columns is None else columns
     pieces: list[tuple[int, int, int]] = []
     for r, record in enumerate(recordings):
         length = len(record.time)
-        parts = 1 if num_samples is None else max(1, round(length / num_samples))
+        parts = 1 if num_samples is None else 2 ** max(0, round(np.log2(length / num_samples)))
         edges = np.linspace(0, length, parts + 1).round().astype(int)
         pieces += [(r, int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= 2]
     return from_pieces(recordings, pieces, columns)

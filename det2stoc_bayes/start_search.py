@@ -33,25 +33,43 @@ FARTHEST_TURN = 0.5  # rad in one step, or by its change of speed over the sampl
 type Linearize = Callable[..., "Sequence[det2stoc_bayes.linearization.Linearization | None]"]
 
 
-def search_starts(problem: Problem, z: Float[np.ndarray, " size"], linearize: Linearize) -> Start:
+def search_starts(
+    problem: Problem,
+    z: Float[np.ndarray, " size"],
+    linearize: Linearize,
+    shorter: "det2stoc_bayes.linearization.Linearization | None" = None,
+) -> Start:
     """The guessed starts where every position was recorded; elsewhere starts that explain the first samples best.
 
-    `linearize(requests)` takes (problem, z, start) triples and gives their linearizations in the starts.
+    `linearize(requests)` takes (problem, z, start) triples and gives their linearizations in the starts. Starts of a
+    fit to shorter stretches, or to the same, join the last ones: long stretches are followed by no other while psi is
+    far off.
     """
     guess = problem.guess
     if guess.seen.all():
         return guess.start
     starts = [problem.moved(guess.start, change) for change in _spread(problem)]
-    longest = problem.segments.time.shape[1]
+    longest, known = problem.segments.time.shape[1], 0 if shorter is None else shorter.problem.segments.time.shape[1]
     doublings = max(int(np.ceil(np.log2(longest / STAGES[-1][0]))), 0)
     beyond = [(STAGES[-1][0] * 2 ** (k + 1), 1, STEPS_BEYOND) for k in range(doublings)]
     for samples, kept, steps in (*STAGES, *beyond):
+        if shorter is not None and (samples > known or samples >= longest):
+            starts, shorter = [*starts, _continued(shorter, problem, starts[0])], None
         descent = _Descent(_beginning(problem, samples), z, starts, linearize)
         for _ in range(steps):
             descent.step()
         descent.keep(kept)
         starts = descent.starts
     return starts[0]
+
+
+def _continued(shorter: "det2stoc_bayes.linearization.Linearization", problem: Problem, otherwise: Start) -> Start:
+    """The starts of a fit to shorter stretches where one begins with a segment; others elsewhere."""
+    begins = zip(shorter.problem.segments.recording, shorter.problem.segments.first, strict=True)
+    rows = {at: row for row, at in enumerate(begins)}
+    found = [rows.get(at, -1) for at in zip(problem.segments.recording, problem.segments.first, strict=True)]
+    both = [Start(*(getattr(shorter.point.start, a)[found] for a in ("qpos", "qvel", "act"))), otherwise]
+    return _choose(both, np.array([int(row < 0) for row in found]))
 
 
 def _beginning(problem: Problem, samples: int) -> Problem:

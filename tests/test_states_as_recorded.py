@@ -130,6 +130,21 @@ def test_a_turning_body_seen_by_one_of_its_points(tmp_path):
     np.testing.assert_allclose(seen, true, atol=0.3)  # measured: 0.1
 
 
+def test_a_turning_body_in_a_wind_that_is_not_what_was_believed(tmp_path):
+    """Under a wrong psi no start explains long stretches: short ones lead there, and psi is known by then."""
+    ball = """<body name="ball" pos="0 0 2"><freejoint name="flight"/>
+      <geom size="0.15" mass="0.12" contype="0" conaffinity="0"/><site name="mark" pos="0.15 0 0"/></body>"""
+    xml = model_xml(ball, '<sensor><framepos name="mark" objtype="site" objname="mark"/></sensor>')
+    believed, true = (xml.replace("<option", f'<option density="1.2" wind="{wind} 0 0"') for wind in (2.0, 3.5))
+    start = ([0, 0, 2, 1, 0, 0, 0], [3, -3.5, 6, -12, 3, 7])
+    made = sensed(true, [start], 5 * np.arange(240), np.full(3, 1e-3))
+    toml = '[psi.wind]\ntarget = "opt/wind"\nindex = [0]\nprior = { Normal = { loc = 2.0, scale = 0.5 } }\n'
+    found = climb(pose(make_study(tmp_path / "ball", believed, toml + '[noise]\n"sensor/mark/*" = 1e-3\n', made)))
+    assert found is not None and found.problem.segments.count == 1
+    assert found.noise_inflation < 1.15  # measured: 1.00; 34 where every horizon's search begins anew
+    assert found.problem.psi(found.point.z)[0] == pytest.approx(3.5, abs=0.01)  # measured: 0.0002
+
+
 def test_a_check_of_sensors_alone_says_what_they_tell(tmp_path):
     starts = [([1.0], [0.0]), ([-2.0], [3.0])]
     made = sensed(IMU, starts, 5 * np.arange(150), np.repeat([0.01, 0.05], 3))

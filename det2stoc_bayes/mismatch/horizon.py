@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from det2stoc_bayes.linearization import start_point
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, whitened
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, whitened
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import cut
@@ -31,11 +31,19 @@ def climb(problem: Problem, z: np.ndarray | None = None) -> Fit | None:
     z = np.zeros(problem.size) if z is None else z
     for n in ladder(problem):
         at = problem.on(cut(problem.segments.recordings, n, problem.segments.columns))
-        fit = fit_many([(at, start_point(at, z))], tolerance=0.5)[0]
+        fit = fit_many([(at, start_point(at, z, best and best.linear))], tolerance=0.5)[0]
         if fit is None or (best is not None and relative_error(fit) > LARGEST_ERROR):
             break
         best, z = fit, fit.point.z
-    return best
+    return best and _searched_again(best)
+
+
+def _searched_again(fit: Fit) -> Fit:
+    """With starts searched under the psi that was fitted: under the prior's median some may have gone astray."""
+    if by_chance(fit) or fit.problem.guess.seen.all():
+        return fit
+    again = fit_many([(fit.problem, start_point(fit.problem, fit.point.z, fit.linear))], tolerance=0.5)[0]
+    return fit if again is None or again.noise_inflation > fit.noise_inflation else again
 
 
 def extend(fit: Fit) -> Fit:
@@ -44,7 +52,7 @@ def extend(fit: Fit) -> Fit:
     whole = fit.problem.on(cut(recordings, None, fit.problem.segments.columns))
     if fit.problem.segments.count == whole.segments.count:
         return fit
-    longer = fit_many([(whole, start_point(whole, fit.point.z))], tolerance=0.5)[0]
+    longer = fit_many([(whole, start_point(whole, fit.point.z, fit.linear))], tolerance=0.5)[0]
     if longer is None or longer.noise_inflation >= MODEL_ERROR:  # by way of shorter ones, lest it be a false optimum
         longer = climb(fit.problem, fit.point.z)
     return fit if longer is None or longer.problem.segments.count >= fit.problem.segments.count else longer
