@@ -5,30 +5,20 @@ Exit codes: 0 done; 1 something unforeseen; 2 an error that the user can act on;
 
 import io
 import json
-import logging
-import signal
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from threading import Event, current_thread, main_thread
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import check_folder
+from det2stoc_bayes.streams import reporting, show, show_report
 
 if TYPE_CHECKING:
-    # Dotted names, so that the checker of the tests can look them up.
-    import rich.console
-
-    import det2stoc_bayes.progress
-    import det2stoc_bayes.study
+    import det2stoc_bayes.study  # a dotted name, so that the checker of the tests can look it up
 
 MOST_DRAWS = 10_000_000
-PLAIN_WIDTH = 200  # columns of a table in a pipe or file
 
 app = typer.Typer(
     name="det2stoc",
@@ -58,11 +48,11 @@ def main() -> None:
 @app.command()
 def check(study: StudyFolder, seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None:
     """Say what a study's recordings can identify."""
-    with _reporting(debug) as stages:
+    with reporting(debug) as stages:
         from det2stoc_bayes import identifiability, tables
 
         checked = identifiability.check(_load(study), progress=stages)
-    _show(tables.check_json(checked) if as_json else tables.check_tables(checked), as_json)
+    show(tables.check_json(checked) if as_json else tables.check_tables(checked), as_json)
 
 
 @app.command()
@@ -78,7 +68,7 @@ def fit(
     debug: Debug = False,
 ) -> None:
     """Draw from the posterior of a study's psi."""
-    with _reporting(debug) as stages:
+    with reporting(debug) as stages:
         check_folder(out)
         from det2stoc_bayes import posterior, tables, verbs
         from det2stoc_bayes.doubts import doubts
@@ -98,7 +88,40 @@ def fit(
     count = posterior.num_draws(tree)
     title = f"{believed.name}, {method}: {f'{count} draws' if count else 'predictions'} in {path}"
     shown = tables.fit_json(rows, told, tree.attrs, str(path)) if as_json else tables.fit_tables(rows, told, title)
-    _show(shown, as_json)
+    show(shown, as_json)
+
+
+@app.command()
+def compare(
+    study: StudyFolder,
+    methods: Annotated[
+        str, typer.Option(metavar="A,B,...", help="Inference methods; svi+psis for a refined one.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where runs and report go.", show_default=False)],
+    engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
+    num_samples: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="Draws in all, of each method.")] = 1000,
+    seed: Seed = 0,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Hold methods beside each other; the same command goes on where it was interrupted."""
+    with reporting(debug) as stages:
+        check_folder(out)
+        from det2stoc_bayes import compare as comparison
+        from det2stoc_bayes import tables, verbs
+        from det2stoc_bayes.files import atomic_write
+        from det2stoc_bayes.report.compare_page import compare_page, misfits
+
+        asked = [name.strip() for name in methods.split(",") if name.strip()]
+        options = {"seed": seed, "engine": engine, "num_samples": num_samples, "progress": stages}
+        believed = _load(study)
+        found = verbs.compare(believed, asked, out, **options)
+        told = comparison.to_json(found)
+        from det2stoc_bayes.mismatch.finding import plain
+
+        atomic_write(out / "comparison.json", json.dumps(plain(told), indent=2))
+        atomic_write(out / "report.html", compare_page(found, name=believed.name, doubts=misfits(found)))
+    show_report(told if as_json else tables.compare_table(found, believed.name), out, as_json)
 
 
 @app.command()
@@ -111,14 +134,14 @@ def diagnose(
     debug: Debug = False,
 ) -> None:
     """Find and model what the simulator leaves out."""
-    with _reporting(debug) as stages:
+    with reporting(debug) as stages:
         check_folder(out)
         from det2stoc_bayes import tables, verbs
 
         diagnosis = verbs.diagnose(_load(study), seed=seed, exact=exact, progress=stages)
         diagnosis.write(out)
     finding = diagnosis.finding
-    _show_report(finding.model_dump(mode="json") if as_json else tables.finding_tables(finding), out, as_json)
+    show_report(finding.model_dump(mode="json") if as_json else tables.finding_tables(finding), out, as_json)
 
 
 @app.command()
@@ -133,7 +156,7 @@ def reproduce(
     debug: Debug = False,
 ) -> None:
     """Run an experiment of the source work again; the same command goes on where it was interrupted."""
-    with _reporting(debug) as stages:
+    with reporting(debug) as stages:
         from det2stoc_bayes import tables
         from det2stoc_bayes.files import atomic_write
         from det2stoc_bayes.reproduce import get_experiment
@@ -143,7 +166,7 @@ def reproduce(
         result = module.run(out, seed=seed, quick=quick, progress=stages)
         atomic_write(out / "results.json", json.dumps(result))
         atomic_write(out / "report.html", module.page(result))
-    _show_report(result if as_json else tables.experiment_table(result), out, as_json)
+    show_report(result if as_json else tables.experiment_table(result), out, as_json)
 
 
 @app.command()
@@ -158,7 +181,7 @@ def export(
     debug: Debug = False,
 ) -> None:
     """Write a posterior as a domain-randomization set: psi.csv, and an MJCF a draw."""
-    with _reporting(debug) as stages:
+    with reporting(debug) as stages:
         check_folder(out)
         from det2stoc_bayes import posterior, randomization
 
@@ -169,125 +192,19 @@ def export(
         options = {"num_draws": draws, "seed": seed, "models": models, "progress": told}
         written = randomization.export(_load(study), tree, out, **options)
     shown = {"draws": draws, "files": [str(path) for path in written]} if as_json else f"{draws} draws in {written[-1]}"
-    _show(shown, as_json)
+    show(shown, as_json)
 
 
 @app.command()
 def effects(seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None:
     """List the effects that a diagnosis knows."""
-    with _reporting(debug):
+    with reporting(debug):
         from det2stoc_bayes import tables
         from det2stoc_bayes.mismatch.effects import CATALOGUE
-    _show(tables.effects_json(CATALOGUE) if as_json else tables.effects_table(CATALOGUE), as_json)
+    show(tables.effects_json(CATALOGUE) if as_json else tables.effects_table(CATALOGUE), as_json)
 
 
 def _load(folder: Path) -> "det2stoc_bayes.study.Study":
     from det2stoc_bayes.study import load_study
 
     return load_study(folder)
-
-
-@contextmanager
-def _reporting(debug: bool) -> Iterator["det2stoc_bayes.progress.Stages"]:
-    """Progress for the work inside; its warnings and errors as lines on stderr, its errors as exit codes."""
-    from rich.console import Console
-
-    from det2stoc_bayes.progress import Stages
-
-    console = Console(stderr=True)
-    interrupted = Event()
-    logging.disable(logging.NOTSET if debug else logging.ERROR)  # what libraries log
-    try:
-        with _interrupting(interrupted), Stages(console, interrupted) as stages, _warnings_on(console):
-            yield stages
-    except (Exception, KeyboardInterrupt) as error:
-        if interrupted.is_set() or isinstance(error, KeyboardInterrupt):
-            raise _exit(console, "interrupted", 130) from error
-        if isinstance(error, Det2StocError):
-            raise _exit(console, f"error: {error}", 2) from error
-        if debug:
-            raise
-        if isinstance(error, OSError) and error.filename is not None:
-            raise _exit(console, f"error: {error.filename}: {error.strerror}", 2) from error
-        if isinstance(error, MemoryError):
-            raise _exit(console, f"error: not enough memory ({error}); allowed: fewer draws", 2) from error
-        reason = " ".join(str(error).split())
-        what = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
-        raise _exit(console, f"unforeseen error: {what} (--debug shows where)", 1) from error
-    finally:
-        logging.disable(logging.NOTSET)
-
-
-@contextmanager
-def _interrupting(interrupted: Event) -> Iterator[None]:
-    """Remembers a Ctrl-C: of a KeyboardInterrupt in its callback a library makes an error of its own."""
-
-    def note(*_: Any) -> None:
-        interrupted.set()
-        raise KeyboardInterrupt
-
-    if current_thread() is not main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _exit(console: "rich.console.Console", line: str, code: int) -> typer.Exit:
-    console.print(line, style="red", markup=False, highlight=False, soft_wrap=True)
-    return typer.Exit(code)
-
-
-@contextmanager
-def _warnings_on(console: "rich.console.Console") -> Iterator[None]:
-    """What a study's reader warns of, each once; what libraries warn of is not the user's to mend."""
-    from det2stoc_bayes.recording import StudyWarning
-
-    seen = set()
-
-    def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        if isinstance(message, StudyWarning) and str(message) not in seen:
-            seen.add(str(message))
-            line = f"warning: {message}"
-            console.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("always", StudyWarning)
-        warnings.showwarning = show
-        yield
-
-
-def _show(result: "rich.console.RenderableType | dict[str, Any] | list[Any]", as_json: bool) -> None:
-    """To stdout: JSON with null for what is not a number, or tables, in colour on a terminal alone."""
-    try:
-        _print(result, as_json)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        from rich.console import Console
-
-        raise _exit(Console(stderr=True), f"error: stdout: {error.strerror}", 2) from error
-
-
-def _print(result: "rich.console.RenderableType | dict[str, Any] | list[Any]", as_json: bool) -> None:
-    if as_json:
-        from det2stoc_bayes.mismatch.finding import plain
-
-        print(json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False))
-        return
-    from rich.console import Console
-
-    console = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
-    console.print(result, soft_wrap=isinstance(result, str))
-
-
-def _show_report(result: "rich.console.RenderableType | dict[str, Any]", out: Path, as_json: bool) -> None:
-    """The same, and where the report is."""
-    _show(result, as_json)
-    if not as_json:
-        _show(f"Report: {out / 'report.html'}", as_json)

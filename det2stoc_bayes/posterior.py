@@ -224,6 +224,15 @@ def num_draws(tree: xr.DataTree) -> int:
     return int(np.prod([tree["posterior"].sizes[d] for d in ("chain", "draw")])) if "posterior" in tree.children else 0
 
 
+def load_made(path: Path, asked: Mapping[str, Any]) -> xr.DataTree | None:
+    """The DataTree in a file that was made as asked (attribute `asked`); None where there is none."""
+    try:
+        tree = load(path)
+    except Det2StocError:
+        return None
+    return tree if json.loads(tree.attrs.get("asked", "null")) == dict(asked) else None
+
+
 def load(path: str | os.PathLike[str]) -> xr.DataTree:
     """Read a DataTree into memory; a Det2StocError where the file is missing, damaged or something else.
 

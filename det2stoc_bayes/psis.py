@@ -48,6 +48,18 @@ def resampled(
     return random.permutation(np.minimum(rows, len(weights) - 1))
 
 
+def leave_one_out(log_likelihood: Float[np.ndarray, "chain draw recordings"]) -> tuple[float, float | None, float]:
+    """Expected log density of left-out recordings, its standard error over them, and the worst k-hat (PSIS-LOO)."""
+    terms = log_likelihood.reshape(-1, log_likelihood.shape[-1])
+    scores, k_hats = [], []
+    for column in terms.T:
+        log_weights, k_hat = smooth(-column)
+        scores.append(float(np.logaddexp.reduce(log_weights + column) - np.logaddexp.reduce(log_weights)))
+        k_hats.append(k_hat)
+    error = float(np.std(scores, ddof=1) * np.sqrt(len(scores))) if len(scores) > 1 else None
+    return float(np.sum(scores)), error, max(k_hats)
+
+
 def standard_errors(draws: Float[np.ndarray, "chain draw size"]) -> Float[np.ndarray, " size"]:
     """Monte-Carlo standard errors of the means of chains."""
     from arviz_stats.base.array import array_stats

@@ -1,5 +1,6 @@
 """A study's believed model, its uncertain parameters, and an engine that runs it."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -47,6 +48,23 @@ class Simulator:
     def believed(self) -> Float[np.ndarray, " psi"]:
         """Each parameter's value in the model file (its first component's)."""
         return np.array([float(np.asarray(self._base[a.field])[a.places[0]]) for a in self.addresses])
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the model, psi with their priors, noise and recordings: equal where a posterior would be."""
+        study, found = self.study, hashlib.sha256()
+        model = np.empty(mujoco.mj_sizeModel(self.model), np.uint8)
+        mujoco.mj_saveModel(self.model, None, model)
+        found.update(model.tobytes())
+        known = {
+            stem: {str(t): np.asarray(v).tolist() for t, v in table.items()} for stem, table in study.known.items()
+        }
+        found.update(repr((study.parameters, dict(study.noise), study.measurement, known)).encode())
+        for record in (*study.recordings, *study.holdout):
+            found.update(repr((record.name, record.columns)).encode())
+            for values in (record.time, record.values, record.ctrl):
+                found.update(np.ascontiguousarray(values).tobytes())
+        return found.hexdigest()
 
     def fields(
         self, psi: Float[np.ndarray, "sims psi"], names: Sequence[str]

@@ -11,6 +11,7 @@ from rich.text import Text
 
 if TYPE_CHECKING:
     # Dotted names, so that the checker of the tests can look them up.
+    import det2stoc_bayes.compare
     import det2stoc_bayes.identifiability
     import det2stoc_bayes.mismatch.effects.base
     import det2stoc_bayes.mismatch.finding
@@ -169,6 +170,35 @@ def experiment_table(result: Mapping[str, Any]) -> RenderableType:
     made = table(shown["title"], *shown["columns"])
     for row in shown["rows"]:
         made.add_row(*(MISSING if cell is None else cell if isinstance(cell, str) else number(cell) for cell in row))
+    return made
+
+
+# --- compare ------------------------------------------------------------
+VERDICTS = {"trust": "green", "trust after refinement": "yellow", "do not trust": "red", "no posterior": "yellow"}
+
+
+def compare_table(found: "det2stoc_bayes.compare.Comparison", name: str) -> RenderableType:
+    """A line a method: what its draws are worth, how far they are from the reference, what they took, a verdict."""
+    against = f"against {found.reference.label}" if found.reference else "no exact method passed its gates"
+    headings = (
+        "method",
+        "R-hat>",
+        "ESS>",
+        "k-hat>",
+        "C2ST>",
+        "mean [sd]>",
+        "sd [%]>",
+        "run [s]>",
+        "simulations>",
+        "",
+        "",
+    )
+    made = table(f"{name}: methods compared, {against}", *headings)
+    for row in found.rows:
+        percent = None if row.sd_error is None else 100 * row.sd_error
+        told = (row.r_hat, row.ess, row.k_hat, row.c2st, row.mean_error, percent, row.seconds_run)
+        verdict = f"[{VERDICTS[row.verdict]}]{row.verdict}"
+        made.add_row(row.label, *(number(v, 3) for v in told), str(row.simulations), verdict, escape(row.why))
     return made
 
 

@@ -1,7 +1,9 @@
 """Commands as functions that return objects, where one is more than a call. The frame never imports this."""
 
 import inspect
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from det2stoc_bayes.errors import MethodNotApplicable, listing
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray
 
+    from det2stoc_bayes.compare import Comparison
     from det2stoc_bayes.inference._stochastic import StochasticSimulator
     from det2stoc_bayes.mismatch.diagnose import Diagnosis
 
@@ -42,6 +45,57 @@ def fit(
     found = run(problem, seed, num_samples=num_samples, **options)
     progress(stage, 1, 1)
     return found
+
+
+def compare(
+    study: Study,
+    methods: Sequence[str],
+    out: Path,
+    *,
+    seed: int = 0,
+    engine: str = "c",
+    num_samples: int = 1000,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+) -> "Comparison":
+    """Posteriors of several methods, `svi+psis` for a refined one: those that `out` holds are not drawn again.
+
+    `out/runs` gets one .nc a method, each as soon as it is done.
+    """
+    from det2stoc_bayes import posterior
+    from det2stoc_bayes.compare import Run, compare
+    from det2stoc_bayes.inference import EXACT, METHODS
+
+    if not methods:
+        raise MethodNotApplicable(f"--methods: none is named; allowed: some of {listing(METHODS)}, separated by commas")
+    chosen = [_method(label) for label in dict.fromkeys(methods)]
+    content, runs = Simulator(study, engine).fingerprint, []
+    for i, (label, name, options) in enumerate(chosen):
+        progress("comparing methods", i, len(chosen))
+        asked = {"seed": seed, "engine": engine, "num_samples": num_samples, "content": content} | options
+        path = out / "runs" / f"{label}.nc"
+        tree = posterior.load_made(path, asked)
+        if tree is None:
+            how: dict[str, Any] = {"seed": seed, "engine": engine, "num_samples": num_samples} | options
+            tree = fit(study, name, progress=progress, **how)
+            tree.attrs["asked"] = json.dumps(asked, sort_keys=True)
+            posterior.save(tree, path)
+        runs.append(Run(label, tree, name in EXACT))
+    progress("comparing methods", len(chosen), len(chosen))
+    return compare(runs)
+
+
+def _method(label: str) -> tuple[str, str, dict[str, str]]:
+    """A label as it is, the method that it names, and that method's options."""
+    from det2stoc_bayes.inference import get_method
+
+    name, plus, refine = label.partition("+")
+    known = inspect.signature(get_method(name).fit).parameters
+    if not plus:
+        return label, name, {}
+    if "refine" not in known or refine != "psis":
+        allowed = [name, *([f"{name}+psis"] if "refine" in known else [])]
+        raise MethodNotApplicable(f"--methods: found '{label}'; allowed: {listing(allowed)}")
+    return label, name, {"refine": refine}
 
 
 def learned_simulator(fit: "xarray.DataTree") -> "StochasticSimulator":

@@ -8,6 +8,7 @@ from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.suggestions import choices
 
 METHODS: tuple[str, ...] = tuple(sorted(m.name for m in iter_modules(__path__) if not m.name.startswith("_")))
+EXACT = ("blackjax_nuts", "emcee", "nuts", "smc")  # whose draws are those of the posterior once they have converged
 
 
 def get_method(name: str) -> ModuleType:

@@ -7,7 +7,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-EDGE = ("cli.py", "verbs.py", "tables.py", "__main__.py")  # the outermost layer, which may know everything
+EDGE = (
+    "cli.py",
+    "streams.py",
+    "verbs.py",
+    "tables.py",
+    "__main__.py",
+)  # the outermost layer, which may know everything
 ONLY_IN = {
     "mujoco": ("simulator.py", "engines/", "mismatch/patch", "mismatch/mjcf", "models/", "blind/"),
     "blackjax": ("inference/",),

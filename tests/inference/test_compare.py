@@ -1,0 +1,132 @@
+"""Methods held beside each other: gates, distances, verdicts, and the command that runs what is missing."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from typer.testing import CliRunner
+
+from det2stoc_bayes import cli, verbs
+from det2stoc_bayes.compare import Run, compare, shortcomings, to_json
+from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.inference import EXACT
+from det2stoc_bayes.psis import leave_one_out
+from det2stoc_bayes.report.compare_page import compare_page
+from det2stoc_bayes.study import load_study
+
+METHODS = ("nuts", "emcee", "smc", "laplace", "prior")
+
+
+@pytest.fixture(scope="module")
+def comparison(fits):
+    return compare([Run(name, fits(name), name in EXACT) for name in METHODS])
+
+
+def row_of(found, label):
+    return next(row for row in found.rows if row.label == label)
+
+
+def moved(tree, shift=0.0, stretch=1.0):
+    """The same draws elsewhere, or farther apart."""
+    tree = tree.copy(deep=True)
+    z = tree["unconstrained_posterior"]["z"]
+    middle = z.mean(("chain", "draw"))
+    tree["unconstrained_posterior"]["z"] = middle + stretch * (z - middle) + shift * z.std(("chain", "draw"))
+    return tree
+
+
+def test_exact_methods_agree_and_the_prior_is_not_the_posterior(comparison):
+    assert comparison.reference is not None and comparison.reference.label in EXACT
+    for name in ("nuts", "emcee", "smc", "laplace"):
+        row = row_of(comparison, name)
+        assert row.verdict == "trust", row
+        if row.c2st is not None:
+            assert row.c2st < 0.56 and row.mean_error < 0.15 and row.sd_error < 0.12  # measured: 0.53, 0.08, 0.06
+    assert len(comparison.reference.agreeing) == 2
+    prior = row_of(comparison, "prior")
+    assert prior.verdict == "do not trust" and prior.c2st > 0.65 and "C2ST" in prior.why  # measured: 0.73
+
+
+@pytest.mark.parametrize(("shift", "stretch"), [(0.5, 1.0), (0.0, 1.5), (0.0, 0.6)])
+def test_draws_that_are_off_are_not_trusted(fits, shift, stretch):
+    runs = [Run("nuts", fits("nuts"), True), Run("moved", moved(fits("laplace"), shift, stretch), False)]
+    row = compare(runs).rows[1]
+    assert row.verdict == "trust after refinement" and "importance weights" in row.why  # its weights are good
+    bare = moved(fits("laplace"), shift, stretch)
+    bare["sample_stats"] = bare["sample_stats"].to_dataset().drop_vars("log_weight")
+    assert compare([runs[0], Run("bare", bare, False)]).rows[1].verdict == "do not trust"
+
+
+def test_an_exact_run_passes_its_gates_or_says_which_it_does_not(comparison):
+    good = row_of(comparison, "nuts")
+    assert shortcomings(good) == []
+    bad = replace(good, r_hat=1.05, ess=120.0, divergences=3, autocorrelation_times=20.0)
+    assert [s.split(" (allowed")[0] for s in shortcomings(bad)] == [
+        "R-hat is 1.05", "20 autocorrelation times", "120 effective draws", "3 divergences",
+    ]  # fmt: skip
+
+
+def test_without_an_exact_run_weights_decide(fits):
+    (laplace, prior), reference = (lambda c: (c.rows, c.reference))(
+        compare([Run(n, fits(n), False) for n in ("laplace", "prior")])
+    )
+    assert reference is None and laplace.verdict == "trust after refinement"
+    assert prior.verdict == "do not trust"
+
+
+def test_leave_one_out_has_its_closed_form():
+    """A normal mean, flat prior: what is left out is normal about the others' mean, its variance 1 + 1 / (n - 1)."""
+    random = np.random.default_rng(0)
+    y = random.normal(0.4, 1.0, 12)
+    mu = random.normal(y.mean(), 1 / np.sqrt(len(y)), (4, 2000))
+    elpd, error, k_hat = leave_one_out(norm.logpdf(y, mu[..., None], 1.0))
+    rest = (y.sum() - y) / (len(y) - 1)
+    exact = norm.logpdf(y, rest, np.sqrt(1 + 1 / (len(y) - 1)))
+    assert elpd == pytest.approx(exact.sum(), abs=0.05)  # measured: 0.01
+    assert error == pytest.approx(exact.std(ddof=1) * np.sqrt(len(y)), rel=0.05) and k_hat < 0.7
+
+
+def test_the_page_says_what_the_table_says(comparison):
+    page = compare_page(comparison, name="<slides>", doubts=["the model's squared misfit is large"])
+    assert "&lt;slides&gt;" in page and "<slides>" not in page
+    assert "Whatever the method: the model&#39;s squared misfit is large" in page
+    for row in comparison.rows:
+        assert row.label in page and row.verdict in page
+    json.dumps(to_json(comparison), default=float)
+
+
+def test_the_command_draws_what_is_missing_and_nothing_twice(gaussian_study, tmp_path):
+    out = tmp_path / "out"
+
+    def run(*methods, **more):
+        options = [f"--{k.replace('_', '-')}={v}" for k, v in more.items()]
+        found = CliRunner().invoke(cli.app, ["compare", str(gaussian_study), "--methods", ",".join(methods),
+                                             "--out", str(out), "--json", *options])  # fmt: skip
+        assert found.exit_code == 0, found.stderr
+        return json.loads(found.stdout), {p.name: p.stat().st_mtime_ns for p in (out / "runs").iterdir()}
+
+    _, before = run("laplace", "prior")
+    told, after = run("laplace+psis", "laplace", "prior")
+    assert after.items() >= before.items() and set(after) - set(before) == {"laplace+psis.nc"}
+    assert [row["label"] for row in told["rows"]] == ["laplace+psis", "laplace", "prior"]
+    assert json.loads((out / "comparison.json").read_text())["rows"] == told["rows"]
+    assert (out / "report.html").stat().st_size > 1e6
+    _, other = run("laplace", seed=3)
+    assert other["laplace.nc"] != before["laplace.nc"] and other["prior.nc"] == before["prior.nc"]
+
+
+@pytest.mark.parametrize(
+    ("methods", "said"),
+    [
+        ([], "--methods: none is named"),
+        (["laplase"], "did you mean 'laplace'"),
+        (["nuts+psis"], "--methods: found 'nuts\\+psis'; allowed: nuts"),
+        (["svi+pis"], "--methods: found 'svi\\+pis'; allowed: svi, svi\\+psis"),
+    ],
+)
+def test_methods_that_do_not_exist_are_refused_before_any_work(gaussian_study, tmp_path, methods, said):
+    with pytest.raises(Det2StocError, match=said):
+        verbs.compare(load_study(gaussian_study), methods, tmp_path)
+    assert not list(tmp_path.iterdir())
