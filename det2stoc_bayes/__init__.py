@@ -1,9 +1,10 @@
 """Posteriors over simulator parameters, and the physics that a simulator leaves out.
 
 `load(folder)` reads a study, `check(study)` says what its recordings can identify, `fit(study)` gives the
-posterior, `export(study, posterior, folder, num_draws=100)` writes models with draws of it, `diagnose(study)` finds
-what the believed model leaves out. `learned_simulator(posterior)` is the stochastic simulator that an amortized
-method learned. Every error that a user can act on is a `Det2StocError`.
+posterior, `compare(study, methods, folder)` several beside each other, `export(study, posterior, folder,
+num_draws=100)` writes models with draws of one, `diagnose(study)` finds what the believed model leaves out.
+`learned_simulator(posterior)` is the `StochasticSimulator` that an amortized method learned; `StochasticEnv` makes a
+Gymnasium environment of it. Every error that a user can act on is a `Det2StocError`.
 """
 
 from importlib import import_module
@@ -20,13 +21,18 @@ from det2stoc_bayes.errors import (
 
 if TYPE_CHECKING:
     from det2stoc_bayes.identifiability import check
+    from det2stoc_bayes.inference._environment import StochasticEnv
+    from det2stoc_bayes.inference._stochastic import StochasticSimulator
     from det2stoc_bayes.randomization import export
     from det2stoc_bayes.study import load_study as load
-    from det2stoc_bayes.verbs import diagnose, fit, learned_simulator
+    from det2stoc_bayes.verbs import compare, diagnose, fit, learned_simulator
 
 # Looked up at first use, so that `import det2stoc_bayes` and `det2stoc --help` wait for no library.
 _LAZY = {
+    "StochasticEnv": "det2stoc_bayes.inference._environment:StochasticEnv",
+    "StochasticSimulator": "det2stoc_bayes.inference._stochastic:StochasticSimulator",
     "check": "det2stoc_bayes.identifiability:check",
+    "compare": "det2stoc_bayes.verbs:compare",
     "diagnose": "det2stoc_bayes.verbs:diagnose",
     "export": "det2stoc_bayes.randomization:export",
     "fit": "det2stoc_bayes.verbs:fit",
@@ -40,8 +46,11 @@ __all__ = [
     "MethodNotApplicable",
     "ModelError",
     "SimulationDiverged",
+    "StochasticEnv",
+    "StochasticSimulator",
     "StudyError",
     "check",
+    "compare",
     "diagnose",
     "export",
     "fit",

@@ -106,7 +106,7 @@ def compare(
 ) -> None:
     """Hold methods beside each other; the same command goes on where it was interrupted."""
     with reporting(debug) as stages:
-        check_folder(out)
+        check_folder(out / "runs")
         from det2stoc_bayes import compare as comparison
         from det2stoc_bayes import tables, verbs
         from det2stoc_bayes.files import atomic_write
@@ -119,8 +119,9 @@ def compare(
         told = comparison.to_json(found)
         from det2stoc_bayes.mismatch.finding import plain
 
+        page = compare_page(found, name=believed.name, doubts=misfits(found))
+        atomic_write(out / "report.html", page)
         atomic_write(out / "comparison.json", json.dumps(plain(told), indent=2))
-        atomic_write(out / "report.html", compare_page(found, name=believed.name, doubts=misfits(found)))
     show_report(told if as_json else tables.compare_table(found, believed.name), out, as_json)
 
 

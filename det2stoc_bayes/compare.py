@@ -1,14 +1,17 @@
 """Posteriors of one problem by several methods beside each other: against a reference, and what speaks for each."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.doubts import weights
+from det2stoc_bayes.errors import listing
 from det2stoc_bayes.posterior import DataTree
-from det2stoc_bayes.psis import leave_one_out, reliable, smooth
+from det2stoc_bayes.psis import leave_one_out, reliable
 from det2stoc_bayes.report.summary import summarize
 from det2stoc_bayes.two_samples import c2st, mean_errors, sd_errors, sliced_wasserstein
 
@@ -17,16 +20,17 @@ AGREE = 0.55  # C2ST of two samplers of the same posterior
 NEAR = (0.6, 0.2, 0.2)  # C2ST, error of means in sds, relative error of sds: an approximation that may stand for it
 MOST_DRAWS = 4000  # that distances are taken from
 
-Verdict = Literal["trust", "trust after refinement", "do not trust", "no posterior"]
+Kind = Literal["exact", "approximate", "no posterior"]
+Verdict = Literal["trust", "trust after refinement", "do not trust", "no posterior", "could not run"]
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A method's result; `exact`: whether its draws are those of the posterior once it has converged."""
+    """A method's result, and what its draws are: the posterior's once they have converged, about so, or others."""
 
     label: str
     tree: DataTree
-    exact: bool
+    kind: Kind
 
     @property
     def draws(self) -> Float[np.ndarray, "draws size"] | None:
@@ -46,11 +50,13 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Draws that all others are held against, and the samplers that agree with those."""
+    """Draws that all others are held against, and the exact runs that agree with those or contradict them."""
 
     label: str
     draws: Float[np.ndarray, "draws size"]
+    unknowns: tuple[str, ...]
     agreeing: tuple[str, ...] = ()
+    contradicting: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,7 @@ class Row:
     """What is known of one run; None where it does not apply."""
 
     label: str
-    exact: bool
+    kind: Kind
     num_draws: int
     r_hat: float | None
     ess: float | None
@@ -89,19 +95,22 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """All rows, in the runs' order."""
+    """All rows, in the runs' order; methods that could not run, by label, with the reason."""
 
     runs: tuple[Run, ...]
     rows: tuple[Row, ...]
     reference: Reference | None
+    failed: Mapping[str, str]
 
 
-def compare(runs: Sequence[Run], reference: Reference | None = None) -> Comparison:
+def compare(
+    runs: Sequence[Run], reference: Reference | None = None, failed: Mapping[str, str] = MappingProxyType({})
+) -> Comparison:
     """Rows of all runs; without a reference of the problem's own the best exact run that passes the gates is it."""
     known = [_described(run) for run in runs]
     reference = reference or _chosen(runs, known)
     rows = [_judged(_held_against(run, row, reference), reference) for run, row in zip(runs, known, strict=True)]
-    return Comparison(tuple(runs), tuple(rows), reference)
+    return Comparison(tuple(runs), tuple(rows), reference, failed)
 
 
 def shortcomings(row: Row) -> list[str]:
@@ -124,12 +133,13 @@ def _described(run: Run) -> Row:
     tree, attributes = run.tree, run.tree.attrs
     rows = summarize(tree)
     r_hats, sizes = ([v for r in rows if (v := getattr(r, name)) is not None] for name in ("r_hat", "ess"))
-    k_hat, num_weighed = _weights(tree)
-    terms = tree["log_likelihood"].to_dataset()["values"].values if "log_likelihood" in tree.children else None
+    k_hat, num_weighed = weights(tree) or (None, 0)
+    stands = run.kind == "exact" or "k_hat" in attributes  # of other draws it would be no score of the posterior
+    terms = tree["log_likelihood"].to_dataset()["values"].values if stands else None
     elpd = None if terms is None else leave_one_out(terms)
     return Row(
         label=run.label,
-        exact=run.exact,
+        kind=run.kind,
         num_draws=0 if run.draws is None else len(run.draws),
         r_hat=max(r_hats, default=None),
         ess=min(sizes) if len(sizes) == len(rows) and rows else None,
@@ -165,25 +175,19 @@ def _times(tree: DataTree) -> float | None:
     return float(stats["steps"]) / float(stats["autocorrelation_time"].max())
 
 
-def _weights(tree: DataTree) -> tuple[float | None, int]:
-    """k-hat of a run's importance weights, and how many there were."""
-    if "k_hat" in tree.attrs:
-        return float(tree.attrs["k_hat"]), int(tree.attrs["num_weighed"])
-    if not _has(tree, "sample_stats", "log_weight"):
-        return None, 0
-    weights = np.asarray(tree["sample_stats"]["log_weight"].values, float).ravel()
-    return smooth(weights)[1], len(weights)
-
-
 def _chosen(runs: Sequence[Run], rows: Sequence[Row]) -> Reference | None:
-    """The exact run that passes the gates with most effective draws."""
-    passed = [(row.ess or 0.0, run) for run, row in zip(runs, rows, strict=True) if run.exact and not shortcomings(row)]
+    """The exact run that passes the gates with most effective draws, and what the others that pass say of it."""
+    passed = [
+        (r.ess or 0.0, run, r) for run, r in zip(runs, rows, strict=True) if r.kind == "exact" and not shortcomings(r)
+    ]
     if not passed:
         return None
     best = max(passed, key=lambda p: p[0])[1]
-    others = [run for _, run in passed if run is not best and run.unknowns == best.unknowns]
-    agreeing = [o.label for o in others if c2st(_some(o.draws), _some(best.draws)) < AGREE]
-    return Reference(best.label, _some(best.draws), tuple(agreeing))
+    found = Reference(best.label, _some(best.draws), best.unknowns)
+    held = [_held_against(run, row, found) for _, run, row in passed if run is not best]
+    agreeing = tuple(r.label for r in held if r.c2st is not None and r.c2st < AGREE and _is_near(r))
+    contradicting = tuple(r.label for r in held if r.c2st is not None and not _is_near(r))
+    return replace(found, agreeing=agreeing, contradicting=contradicting)
 
 
 def _some(draws: Float[np.ndarray, "_ size"] | None) -> Float[np.ndarray, "_ size"]:
@@ -193,10 +197,10 @@ def _some(draws: Float[np.ndarray, "_ size"] | None) -> Float[np.ndarray, "_ siz
 
 
 def _held_against(run: Run, row: Row, reference: Reference | None) -> Row:
-    """With its distances from the reference; a run is not held against itself."""
-    if reference is None or run.draws is None or run.label == reference.label or not run.draws.shape[1]:
+    """With its distances from the reference; a run is not held against itself, nor against other unknowns."""
+    if reference is None or run.label == reference.label or run.kind == "no posterior" or not run.unknowns:
         return row
-    if run.draws.shape[1] != reference.draws.shape[1]:
+    if run.unknowns != reference.unknowns:
         return row
     draws = _some(run.draws)
     return replace(
@@ -208,10 +212,16 @@ def _held_against(run: Run, row: Row, reference: Reference | None) -> Row:
     )
 
 
+def _is_near(row: Row) -> bool:
+    """Whether a run's draws may stand for the reference's."""
+    found = (row.c2st, row.mean_error, row.sd_error)
+    return all(f is not None and f <= most for f, most in zip(found, NEAR, strict=True))
+
+
 def _judged(row: Row, reference: Reference | None) -> Row:
-    if not row.num_draws:
-        return replace(row, why="it predicts, and infers no psi")
-    verdict, why = _exact_verdict(row, reference) if row.exact else _verdict(row, reference)
+    if row.kind == "no posterior":
+        return replace(row, why="what it seeks is another quantity than the posterior of psi")
+    verdict, why = _exact_verdict(row, reference) if row.kind == "exact" else _verdict(row, reference)
     return replace(row, verdict=verdict, why=why)
 
 
@@ -219,31 +229,39 @@ def _exact_verdict(row: Row, reference: Reference | None) -> tuple[Verdict, str]
     failed = shortcomings(row)
     if failed:
         return "do not trust", "; ".join(failed)
-    if reference is None or row.label == reference.label:
-        others = reference.agreeing if reference else ()
-        said = f"; {' and '.join(others)} {'agrees' if len(others) == 1 else 'agree'} with it" if others else ""
-        return "trust", f"it passes all gates{said}"
-    if row.c2st is not None and not row.c2st < NEAR[0]:
-        return "do not trust", f"it passes all gates, but {_distance(row)} from {reference.label}"
-    return "trust", f"it passes all gates, and is {_distance(row)} from {reference.label}"
+    if reference is None:
+        return "trust", "it passes all gates"
+    if row.label == reference.label:
+        against, agreeing = reference.contradicting, reference.agreeing
+        if against:
+            return "do not trust", f"it passes all gates, but {listing(against)} that also passes contradicts it"
+        return "trust", "it passes all gates" + (f", and agrees with {listing(agreeing)}" if agreeing else "")
+    if row.c2st is None:
+        return "trust", f"it passes all gates; its unknowns are others than those of {reference.label}"
+    said = f"{_distance(row)} from {reference.label}"
+    return (
+        ("trust", f"it passes all gates: {said}")
+        if _is_near(row)
+        else ("do not trust", f"it passes all gates, but {said}")
+    )
 
 
 def _verdict(row: Row, reference: Reference | None) -> tuple[Verdict, str]:
     """Of an approximation, by the reference where there is one, else by its weights."""
     weighable = row.k_hat is not None and row.k_hat < reliable(max(row.num_weighed, 2))
-    weights = "" if row.k_hat is None else f"k-hat of its weights is {row.k_hat:.2g}"
-    if reference is not None and row.c2st is not None:
-        found = (row.c2st, row.mean_error or 0.0, row.sd_error or 0.0)
-        near = all(f <= most for f, most in zip(found, NEAR, strict=True))
+    told = "" if row.k_hat is None else f"k-hat of its weights is {row.k_hat:.2g}"
+    if row.refined and (row.ess or 0.0) < LEAST_ESS:
+        return "do not trust", f"{row.ess or 0.0:.0f} effective draws are left (allowed: at least {LEAST_ESS})"
+    if reference is not None and row.c2st is not None and not reference.contradicting:
         said = f"{_distance(row)} from {reference.label}"
-        if near:
+        if _is_near(row):
             return "trust", said
         if weighable and not row.refined:
-            return "trust after refinement", f"{said}, but {weights}: importance weights can correct it"
+            return "trust after refinement", f"{said}, but {told}: importance weights can correct it"
         return "do not trust", said
     if weighable:
-        return ("trust", weights) if row.refined else ("trust after refinement", weights)
-    return "do not trust", weights or "nothing exact to hold it against, and no weights that tell"
+        return ("trust", told) if row.refined else ("trust after refinement", told)
+    return "do not trust", told or "there is nothing exact to hold it against, and it has no weights"
 
 
 def _distance(row: Row) -> str:
@@ -254,8 +272,10 @@ def _distance(row: Row) -> str:
 
 def to_json(found: Comparison) -> dict[str, Any]:
     """All numbers, for a file or `--json`."""
-    reference = found.reference and {"label": found.reference.label, "agreeing": list(found.reference.agreeing)}
+    held = found.reference
+    reference = held and {"label": held.label, "agreeing": held.agreeing, "contradicting": held.contradicting}
     return {
         "reference": reference,
+        "failed": dict(found.failed),
         "rows": [vars(row) | {"ess_per_second": row.ess_per_second} for row in found.rows],
     }

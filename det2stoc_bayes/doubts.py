@@ -49,7 +49,7 @@ def unreliable(tree: DataTree) -> str:
 
     k-hat: Vehtari et al., Pareto smoothed importance sampling (2024).
     """
-    found = _weights(tree)
+    found = weights(tree)
     if found is None or found[1] < LEAST_WEIGHED or found[0] < (most := reliable(found[1])):
         return ""
     refined = "k_hat" in tree.attrs
@@ -60,11 +60,11 @@ def unreliable(tree: DataTree) -> str:
     )
 
 
-def _weights(tree: DataTree) -> tuple[float, int] | None:
+def weights(tree: DataTree) -> tuple[float, int] | None:
     """k-hat of a fit's importance weights and how many there were; None of a method that has none."""
     if "k_hat" in tree.attrs:
         return float(tree.attrs["k_hat"]), int(tree.attrs["num_weighed"])
     if "sample_stats" not in tree.children or "log_weight" not in tree["sample_stats"]:
         return None
-    weights = np.asarray(tree["sample_stats"]["log_weight"].values, float).ravel()
-    return smooth(weights)[1], len(weights)
+    found = np.asarray(tree["sample_stats"].to_dataset()["log_weight"].values, float).ravel()
+    return smooth(found)[1], len(found)

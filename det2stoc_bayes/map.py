@@ -11,6 +11,7 @@ from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import cut
+from det2stoc_bayes.start_fit import searched_again
 
 HORIZONS = (25, 250)  # samples: long rollouts have many optima, short ones one
 BEND = 0.3  # of a posterior sd: finite difference of second derivatives
@@ -38,9 +39,8 @@ def find_map(problem: Problem, *, max_iterations: int = 20) -> Fit:
         fit = fit_many([(problem, point)], max_iterations=max_iterations, free_scale=free_scale)[0]
         if fit is None:
             raise SimulationDiverged("no simulation of the believed model stays finite over the recordings")
+        fit = searched_again(fit, max_iterations=max_iterations) if free_scale else fit
         point = fit.point
-        if free_scale and not problem.guess.seen.all():  # those starts are searched again under the psi that was found
-            point = start_point(problem, point.z, fit.linear)
     return fit
 
 

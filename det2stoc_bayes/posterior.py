@@ -230,7 +230,7 @@ def load_made(path: Path, asked: Mapping[str, Any]) -> xr.DataTree | None:
         tree = load(path)
     except Det2StocError:
         return None
-    return tree if json.loads(tree.attrs.get("asked", "null")) == dict(asked) else None
+    return tree if tree.attrs.get("asked") == json.dumps(dict(asked), sort_keys=True) else None
 
 
 def load(path: str | os.PathLike[str]) -> xr.DataTree:

@@ -51,7 +51,7 @@ class Simulator:
 
     @property
     def fingerprint(self) -> str:
-        """Of the model, psi with their priors, noise and recordings: equal where a posterior would be."""
+        """Of the model, psi with their priors, noise and all recordings: equal where a method's results would be."""
         study, found = self.study, hashlib.sha256()
         model = np.empty(mujoco.mj_sizeModel(self.model), np.uint8)
         mujoco.mj_saveModel(self.model, None, model)

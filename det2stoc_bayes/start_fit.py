@@ -1,12 +1,15 @@
 """What belongs to single recordings, fitted to each of them while the other unknowns stay as they are."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.linearization import Linearization, Point, linearize, start_point
+from det2stoc_bayes.mismatch.evidence import by_chance
+from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 
 NUM_STEPS = 6
@@ -34,6 +37,17 @@ def fit_starts(problem: Problem, z: Float[np.ndarray, " size"]) -> Linearization
         share = np.where(better, 1.0, SHORTER * share)
         lin = lin if after is None else _mixed(lin, after, better)
     return lin
+
+
+def searched_again(fit: Fit, **options: Any) -> Fit:
+    """With starts that were not recorded searched under the psi that was fitted; under another some may go astray.
+
+    The fit itself where it leaves only chance, or where that does not better it; `options` are `fit_many`'s.
+    """
+    if by_chance(fit) or fit.problem.guess.seen.all():
+        return fit
+    again = fit_many([(fit.problem, start_point(fit.problem, fit.point.z, fit.linear))], **options)[0]
+    return fit if again is None or again.noise_inflation > fit.noise_inflation else again
 
 
 def _own_step(lin: Linearization) -> Float[np.ndarray, " size"]:

@@ -31,7 +31,7 @@ def table(title: str, *headings: str) -> Table:
     """A plain table; a heading that ends in `>` is of numbers."""
     made = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False)
     for heading in headings:
-        made.add_column(heading.rstrip(">"), justify="right" if heading.endswith(">") else "left")
+        made.add_column(escape(heading.rstrip(">")), justify="right" if heading.endswith(">") else "left")
     return made
 
 
@@ -179,7 +179,7 @@ VERDICTS = {"trust": "green", "trust after refinement": "yellow", "do not trust"
 
 def compare_table(found: "det2stoc_bayes.compare.Comparison", name: str) -> RenderableType:
     """A line a method: what its draws are worth, how far they are from the reference, what they took, a verdict."""
-    against = f"against {found.reference.label}" if found.reference else "no exact method passed its gates"
+    against = f"against {found.reference.label}" if found.reference else "no exact run that passes its gates"
     headings = (
         "method",
         "R-hat>",
@@ -196,9 +196,12 @@ def compare_table(found: "det2stoc_bayes.compare.Comparison", name: str) -> Rend
     made = table(f"{name}: methods compared, {against}", *headings)
     for row in found.rows:
         percent = None if row.sd_error is None else 100 * row.sd_error
-        told = (row.r_hat, row.ess, row.k_hat, row.c2st, row.mean_error, percent, row.seconds_run)
+        told = (row.ess, row.k_hat, row.c2st, row.mean_error, percent, row.seconds_run)
         verdict = f"[{VERDICTS[row.verdict]}]{row.verdict}"
-        made.add_row(row.label, *(number(v, 3) for v in told), str(row.simulations), verdict, escape(row.why))
+        cells = (number(row.r_hat, 4), *(number(v, 3) for v in told), str(row.simulations))
+        made.add_row(row.label, *cells, verdict, escape(row.why))
+    for label, why in found.failed.items():
+        made.add_row(label, *[MISSING] * 8, "[red]could not run", escape(why))
     return made
 
 

@@ -2,11 +2,13 @@
 
 import inspect
 import json
+import os
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from det2stoc_bayes.errors import MethodNotApplicable, listing
+from det2stoc_bayes.errors import MethodNotApplicable, SamplingFailed, SimulationDiverged, listing
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray
 
-    from det2stoc_bayes.compare import Comparison
+    from det2stoc_bayes.compare import Comparison, Kind
     from det2stoc_bayes.inference._stochastic import StochasticSimulator
     from det2stoc_bayes.mismatch.diagnose import Diagnosis
 
@@ -50,7 +52,7 @@ def fit(
 def compare(
     study: Study,
     methods: Sequence[str],
-    out: Path,
+    out: str | os.PathLike[str],
     *,
     seed: int = 0,
     engine: str = "c",
@@ -63,32 +65,47 @@ def compare(
     """
     from det2stoc_bayes import posterior
     from det2stoc_bayes.compare import Run, compare
-    from det2stoc_bayes.inference import EXACT, METHODS
+    from det2stoc_bayes.inference import METHODS
 
     if not methods:
         raise MethodNotApplicable(f"--methods: none is named; allowed: some of {listing(METHODS)}, separated by commas")
     chosen = [_method(label) for label in dict.fromkeys(methods)]
-    content, runs = Simulator(study, engine).fingerprint, []
+    made = {"content": Simulator(study, engine).fingerprint, "version": version("det2stoc-bayes")}
+    runs, failed = [], {}
     for i, (label, name, options) in enumerate(chosen):
         progress("comparing methods", i, len(chosen))
-        asked = {"seed": seed, "engine": engine, "num_samples": num_samples, "content": content} | options
-        path = out / "runs" / f"{label}.nc"
+        asked = {"seed": seed, "engine": engine, "num_samples": num_samples} | made | options
+        path = Path(out) / "runs" / f"{label}.nc"
         tree = posterior.load_made(path, asked)
         if tree is None:
             how: dict[str, Any] = {"seed": seed, "engine": engine, "num_samples": num_samples} | options
-            tree = fit(study, name, progress=progress, **how)
+            try:
+                tree = fit(study, name, progress=progress, **how)
+            except (MethodNotApplicable, SamplingFailed, SimulationDiverged) as error:
+                failed[label] = str(error)  # the others may run
+                continue
             tree.attrs["asked"] = json.dumps(asked, sort_keys=True)
             posterior.save(tree, path)
-        runs.append(Run(label, tree, name in EXACT))
+        runs.append(Run(label, tree, _kind(name)))
     progress("comparing methods", len(chosen), len(chosen))
-    return compare(runs)
+    if not runs:
+        raise MethodNotApplicable("; ".join(f"{label}: {why}" for label, why in failed.items()))
+    return compare(runs, failed=failed)
+
+
+def _kind(name: str) -> "Kind":
+    """What a method's draws are."""
+    from det2stoc_bayes.inference import EXACT, NO_POSTERIOR
+
+    return "exact" if name in EXACT else "no posterior" if name in NO_POSTERIOR else "approximate"
 
 
 def _method(label: str) -> tuple[str, str, dict[str, str]]:
     """A label as it is, the method that it names, and that method's options."""
     from det2stoc_bayes.inference import get_method
 
-    name, plus, refine = label.partition("+")
+    name, plus, refine = (part.strip() for part in label.partition("+"))
+    label = name + plus + refine
     known = inspect.signature(get_method(name).fit).parameters
     if not plus:
         return label, name, {}

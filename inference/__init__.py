@@ -9,6 +9,7 @@ from det2stoc_bayes.suggestions import choices
 
 METHODS: tuple[str, ...] = tuple(sorted(m.name for m in iter_modules(__path__) if not m.name.startswith("_")))
 EXACT = ("blackjax_nuts", "emcee", "nuts", "smc")  # whose draws are those of the posterior once they have converged
+NO_POSTERIOR = ("baseline_cvae", "population_search")  # the one predicts, the other seeks a population
 
 
 def get_method(name: str) -> ModuleType:

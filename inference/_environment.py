@@ -8,7 +8,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.inference._stochastic import StochasticSimulator
+from det2stoc_bayes.errors import Det2StocError
+from det2stoc_bayes.inference._stochastic import StochasticSimulator, rows_of
 
 Reward = Callable[[np.ndarray, np.ndarray, np.ndarray], float]  # state, action, next state
 
@@ -31,15 +32,16 @@ class StochasticEnv(gymnasium.Env):
         num_steps: int,
         reward: Reward = _nothing,
     ):
-        self.simulator, self.starts, self.num_steps, self.reward = (
-            simulator,
-            np.asarray(starts, float),
-            num_steps,
-            reward,
-        )
-        self.action_space = gymnasium.spaces.Box(
-            np.asarray(action_low, float), np.asarray(action_high, float), dtype=float
-        )
+        """Raises Det2StocError where the simulator cannot take such starts or actions, or there is no step."""
+        low, high = rows_of("action_low, action_high", [action_low, action_high], simulator.num_actions)
+        if not (low <= high).all():
+            raise Det2StocError(f"action_low, action_high: found {low} and {high}; allowed: low at most high")
+        self.simulator, self.starts = simulator, rows_of("starts", starts, simulator.num_states)
+        if not (len(self.starts) and np.isfinite(self.starts).all() and num_steps > 0):
+            found = f"{len(self.starts)} starts and {num_steps} steps"
+            raise Det2StocError(f"starts, num_steps: found {found}; allowed: one at least of either, all finite")
+        self.num_steps, self.reward = num_steps, reward
+        self.action_space = gymnasium.spaces.Box(low, high, dtype=float)
         size = (self.starts.shape[1],)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, size, dtype=float)
         self._state, self._done, self._z = self.starts[0], 0, None

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -42,6 +43,16 @@ class StochasticSimulator:
         """The latent's."""
         return standard_normal(self.decoder.latents) if self.latent is None else self.latent()
 
+    @property
+    def num_states(self) -> int:
+        """Numbers of a state."""
+        return len(self.scaling.change_sd)
+
+    @property
+    def num_actions(self) -> int:
+        """Numbers of an action."""
+        return len(self.scaling.given_mean) - self.num_states
+
     def sample(
         self,
         key: PRNGKeyArray,
@@ -49,7 +60,12 @@ class StochasticSimulator:
         action: Float[np.ndarray, "rows a"],
         z: Float[Array, "rows z"] | None = None,
     ) -> Float[np.ndarray, "rows s"]:
-        """Next states; every row's latent is drawn from the prior where none is given."""
+        """Next states; every row's latent is drawn from the prior where none is given.
+
+        Raises Det2StocError where a state or an action has another size than those that were learned from.
+        """
+        state = rows_of("state", state, self.num_states)
+        action = rows_of("action", action, self.num_actions, len(state))
         latent, noise = jax.random.split(key)
         given = np.concatenate([state, action], 1)
         z = self.prior.sample(latent, (len(state),)) if z is None else z
@@ -75,6 +91,9 @@ class StochasticSimulator:
         hold: bool = True,
     ) -> Float[np.ndarray, "rows samples s"]:
         """States of episodes, the first one included; `hold`: an episode's latent stays what it is, as psi does."""
+        if np.ndim(actions) != 3:
+            raise Det2StocError(f"actions: found shape {np.shape(actions)}; allowed: (rows, steps, {self.num_actions})")
+        state = rows_of("state", state, self.num_states, len(actions))
         first, key = jax.random.split(key)
         z = self.prior.sample(first, (len(state),)) if hold else None
         out = [np.asarray(state, float)]
@@ -93,15 +112,15 @@ class StochasticSimulator:
         changes = self._valid(data.state + changes) - data.state if self.rotations else changes
         return changes, np.asarray(terms, float) - self.scaling.log_volume
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """One file: a line of JSON, then the networks."""
         atomic_write(path, self.to_bytes())
 
     @classmethod
-    def load(cls, path: Path) -> "StochasticSimulator":
-        """What `save` wrote."""
+    def load(cls, path: str | os.PathLike[str]) -> "StochasticSimulator":
+        """What `save` wrote; a Det2StocError where it is something else."""
         try:
-            return cls.from_bytes(path.read_bytes())
+            return cls.from_bytes(Path(path).read_bytes())
         except (OSError, ValueError) as error:
             raise Det2StocError(f"{path}: found no stochastic simulator; allowed: a file that save() wrote") from error
 
@@ -129,6 +148,15 @@ class StochasticSimulator:
             return cls(decoder, scaling, tuple(header["rotations"]), latent)
         except (KeyError, TypeError, AttributeError, EOFError, RuntimeError) as error:
             raise ValueError("found no stochastic simulator") from error
+
+
+def rows_of(what: str, values: Any, size: int, count: int | None = None) -> Float[np.ndarray, "rows size"]:
+    """Numbers as an array of rows; a Det2StocError says what was found and what is allowed."""
+    found = np.asarray(values, float)
+    if found.ndim != 2 or found.shape[1] != size or (count is not None and len(found) != count):
+        rows = "rows" if count is None else count
+        raise Det2StocError(f"{what}: found shape {found.shape}; allowed: ({rows}, {size})")
+    return found
 
 
 def nearest_rotation(matrix: Float[np.ndarray, "*rows 3 3"]) -> Float[np.ndarray, "*rows 3 3"]:

@@ -82,24 +82,35 @@ def beside(
 
 
 def linear_share(probe: Probe, truths: Sequence[np.ndarray], rivals: Sequence[Effect]) -> list[float]:
-    """For each rival the share of what a refit without it leaves that remains with it, to first order from there.
+    """For each rival the share of what a refit without it leaves that remains with it, to first order.
 
-    It tells which rivals are worth a refit of their own.
+    From that refit, or from psi as it is where that promises more: a large effect leads psi far away. It tells which
+    rivals are worth a refit of their own.
     """
     alone = _Problem(probe, truths, (), None)
-    z = refit(probe, truths).z
-    basis, target = np.linalg.qr(alone.jacobian(z))[0], alone.residual(z)
-    target = target - basis @ (basis.T @ target)
+    points = [(z, *_left_at(alone, z)) for z in (refit(probe, truths).z, alone.initial)]
     result = []
     for rival in rivals:
         problem = _Problem(probe, truths, (rival,), None)
-        columns = problem.sensitivities(np.concatenate((z, problem.initial[z.size :])))
-        columns = columns - basis @ (basis.T @ columns)
-        sizes = np.linalg.norm(columns, axis=0)
-        columns = columns[:, sizes > 1e-6 * max(sizes.max(), 1e-300)]
-        left = target - columns @ np.linalg.lstsq(columns, target, rcond=1e-8)[0]
-        result.append(float(np.linalg.norm(left) / np.linalg.norm(target)))
+        own = problem.initial[alone.initial.size :]
+        shares = [_share(problem.sensitivities(np.concatenate((z, own))), basis, left) for z, basis, left in points]
+        result.append(min(shares))
     return result
+
+
+def _left_at(problem: "_Problem", z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions that psi and the initial states take up about z, and the residual there without them."""
+    basis, left = np.linalg.qr(problem.jacobian(z))[0], problem.residual(z)
+    return basis, left - basis @ (basis.T @ left)
+
+
+def _share(columns: np.ndarray, basis: np.ndarray, target: np.ndarray) -> float:
+    """Of a target what remains beside columns that a basis does not take up."""
+    columns = columns - basis @ (basis.T @ columns)
+    sizes = np.linalg.norm(columns, axis=0)
+    columns = columns[:, sizes > 1e-6 * max(sizes.max(), 1e-300)]
+    left = target - columns @ np.linalg.lstsq(columns, target, rcond=1e-8)[0]
+    return float(np.linalg.norm(left) / np.linalg.norm(target))
 
 
 class _Problem:

@@ -5,10 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from det2stoc_bayes.linearization import start_point
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, whitened
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, whitened
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import cut
+from det2stoc_bayes.start_fit import searched_again
 
 SHORTEST = 20  # samples
 GROWTH, LEAST_GROWTH = 4, 2  # from one rung to the next; and from the last one to whole recordings
@@ -35,15 +36,7 @@ def climb(problem: Problem, z: np.ndarray | None = None) -> Fit | None:
         if fit is None or (best is not None and relative_error(fit) > LARGEST_ERROR):
             break
         best, z = fit, fit.point.z
-    return best and _searched_again(best)
-
-
-def _searched_again(fit: Fit) -> Fit:
-    """With starts searched under the psi that was fitted: under the prior's median some may have gone astray."""
-    if by_chance(fit) or fit.problem.guess.seen.all():
-        return fit
-    again = fit_many([(fit.problem, start_point(fit.problem, fit.point.z, fit.linear))], tolerance=0.5)[0]
-    return fit if again is None or again.noise_inflation > fit.noise_inflation else again
+    return best and searched_again(best, tolerance=0.5)
 
 
 def extend(fit: Fit) -> Fit:

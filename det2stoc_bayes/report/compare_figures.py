@@ -27,13 +27,10 @@ def colour(number: int) -> str:
 
 
 def forest_figure(posteriors: Mapping[str, Posterior], name: str) -> Spec:
-    """Mean and 95 % interval of a parameter under every method, the first on top."""
-    rows = [(label, np.ravel(p[name])) for label, p in posteriors.items() if name in p]
+    """Median and intervals of a parameter under every method that has it, the first on top."""
+    rows = [(number, label, np.ravel(p[name])) for number, (label, p) in enumerate(posteriors.items()) if name in p]
     traces = []
-    for number, label in enumerate(posteriors):
-        if name not in posteriors[label]:
-            continue
-        draws, y = np.ravel(posteriors[label][name]), len(rows) - 1 - [r[0] for r in rows].index(label)
+    for y, (number, label, draws) in enumerate(reversed(rows)):
         low, middle, high = np.quantile(draws, [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2])
         inner = np.quantile(draws, [0.25, 0.75])
         style: Spec = {"hovertemplate": f"%{{x:.4~g}}<extra>{label}</extra>"}
@@ -41,7 +38,7 @@ def forest_figure(posteriors: Mapping[str, Posterior], name: str) -> Spec:
         traces.append(canvas.line(inner, np.full(2, y), label, colour(number), width=5, **style))
         dot = {"mode": "markers", "marker": {"color": colour(number), "size": 8}}
         traces.append(canvas.line(np.array([middle]), np.array([y]), label, colour(number), **style, **dot))
-    labels = [label for label, _ in reversed(rows)]
+    labels = [label for _, label, _ in reversed(rows)]
     ticks = {"tickmode": "array", "tickvals": list(range(len(rows))), "ticktext": labels, "automargin": True}
     axes = {"xaxis": canvas.axis(), "yaxis": canvas.axis(**ticks, range=[-0.7, len(rows) - 0.3], showgrid=False)}
     return {"data": traces, "layout": canvas.layout(70 + ROW * len(rows), **axes, hovermode="closest")}

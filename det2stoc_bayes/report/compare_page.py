@@ -7,13 +7,14 @@ import numpy as np
 
 from det2stoc_bayes.compare import Comparison, Row, Run
 from det2stoc_bayes.doubts import misfit
+from det2stoc_bayes.psis import reliable
 from det2stoc_bayes.report import compare_figures as figures
 from det2stoc_bayes.report import numbers, page
 from det2stoc_bayes.report.compare_figures import Posterior
 
 BADGES = {
     "trust": "no_mismatch", "trust after refinement": "inconclusive", "do not trust": "mismatch",
-    "no posterior": "inconclusive",
+    "no posterior": "inconclusive", "could not run": "mismatch",
 }  # fmt: skip
 COLUMNS = (
     "draws", "R-hat", "ESS", "ESS / s", "divergences", "k-hat", "C2ST", "Wasserstein [sd]", "mean [sd]", "sd [%]",
@@ -25,8 +26,7 @@ MOST_PARAMETERS = 12  # in the forest
 def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) -> str:
     """The report as html text; `doubts` speak against the model, whatever the method."""
     posteriors = {run.label: posterior(run) for run in found.runs}
-    with_draws = {label: p for label, p in posteriors.items() if p}
-    names = list(dict.fromkeys(n for p in with_draws.values() for n in p))
+    names = list(dict.fromkeys(n for p in posteriors.values() for n in p))
     reference = posteriors.get(found.reference.label) if found.reference else None
     numbered = [(k, run) for k, run in enumerate(found.runs) if run.draws is not None]
     drawn = [_figures(run, posteriors[run.label], reference, k) for k, run in numbered]
@@ -41,9 +41,10 @@ def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) ->
         reference=found.reference,
         verdicts=[_verdict(row, number) for number, row in enumerate(found.rows)],
         columns=COLUMNS,
+        failed=found.failed,
         rows=[{"label": row.label, "values": cells(row)} for row in found.rows],
-        forests=[(n, page.embedded(figures.forest_figure(with_draws, n))) for n in names[:MOST_PARAMETERS]],
-        forest_height=70 + figures.ROW * len(with_draws),
+        forests=[(n, page.embedded(figures.forest_figure(posteriors, n))) for n in names[:MOST_PARAMETERS]],
+        forest_height=70 + figures.ROW * len(posteriors),
         costs=[
             (title, page.embedded(figures.cost_figure(found.rows, cost, title)))
             for cost, title in (("seconds_run", "run [s]"), ("simulations", "simulations"))
@@ -77,6 +78,8 @@ def cells(row: Row) -> list[str]:
     loo = numbers.MISSING if row.elpd is None else numbers.number(row.elpd, 5)
     if row.elpd is not None and row.elpd_error is not None:
         loo = numbers.plus_minus(row.elpd, row.elpd_error)
+    if row.elpd_k_hat is not None and row.elpd_k_hat > reliable(max(row.num_draws, 2)):
+        loo += f" (k-hat {numbers.number(row.elpd_k_hat, 2)}: unreliable)"
     told = (row.r_hat, row.ess, row.ess_per_second, row.divergences, row.k_hat, row.c2st, row.wasserstein)
     return [
         str(row.num_draws or numbers.MISSING),
@@ -102,7 +105,7 @@ def _figures(run: Run, draws: Posterior, reference: Posterior | None, number: in
     against = None if reference is draws else reference
     shown = {"Pairs": (figures.pair_figure(draws, against, number), 250)}
     height = 150 * min(len(draws), figures.MOST_SHOWN)
-    if run.exact:
+    if run.kind == "exact":
         shown["Ranks by chain"] = (figures.rank_figure(draws), height)
         shown["Traces"] = (figures.trace_figure(draws), height)
         shown["Autocorrelation"] = (figures.autocorrelation_figure(draws), height)

@@ -21,7 +21,11 @@ METHODS = ("nuts", "emcee", "smc", "laplace", "prior")
 
 @pytest.fixture(scope="module")
 def comparison(fits):
-    return compare([Run(name, fits(name), name in EXACT) for name in METHODS])
+    return compare([Run(name, fits(name), kind_of(name)) for name in METHODS])
+
+
+def kind_of(name):
+    return "exact" if name in EXACT else "approximate"
 
 
 def row_of(found, label):
@@ -51,12 +55,12 @@ def test_exact_methods_agree_and_the_prior_is_not_the_posterior(comparison):
 
 @pytest.mark.parametrize(("shift", "stretch"), [(0.5, 1.0), (0.0, 1.5), (0.0, 0.6)])
 def test_draws_that_are_off_are_not_trusted(fits, shift, stretch):
-    runs = [Run("nuts", fits("nuts"), True), Run("moved", moved(fits("laplace"), shift, stretch), False)]
+    runs = [Run("nuts", fits("nuts"), "exact"), Run("moved", moved(fits("laplace"), shift, stretch), "approximate")]
     row = compare(runs).rows[1]
     assert row.verdict == "trust after refinement" and "importance weights" in row.why  # its weights are good
     bare = moved(fits("laplace"), shift, stretch)
     bare["sample_stats"] = bare["sample_stats"].to_dataset().drop_vars("log_weight")
-    assert compare([runs[0], Run("bare", bare, False)]).rows[1].verdict == "do not trust"
+    assert compare([runs[0], Run("bare", bare, "approximate")]).rows[1].verdict == "do not trust"
 
 
 def test_an_exact_run_passes_its_gates_or_says_which_it_does_not(comparison):
@@ -68,11 +72,33 @@ def test_an_exact_run_passes_its_gates_or_says_which_it_does_not(comparison):
     ]  # fmt: skip
 
 
+def test_exact_runs_that_contradict_each_other_are_not_trusted(fits):
+    one, other = Run("nuts", fits("nuts"), "exact"), Run("emcee", moved(fits("emcee"), 0.5), "exact")
+    found = compare([one, other, Run("laplace", fits("laplace"), "approximate")])
+    assert found.reference.contradicting and [r.verdict for r in found.rows[:2]] == ["do not trust"] * 2
+    assert found.rows[2].verdict == "trust after refinement"  # by its weights alone
+    assert "contradict each other" in compare_page(found, name="slides")
+
+
+def test_what_is_no_posterior_is_not_held_against_one(fits):
+    search = Run("population_search", fits("laplace"), "no posterior")
+    row = compare([Run("nuts", fits("nuts"), "exact"), search]).rows[1]
+    assert (row.verdict, row.c2st, row.elpd) == ("no posterior", None, None)
+
+
+def test_other_unknowns_are_not_compared(fits):
+    renamed = fits("nuts").copy(deep=True)
+    z = renamed["unconstrained_posterior"].to_dataset().assign_coords(unknown=["a", "b"])
+    renamed["unconstrained_posterior"] = z
+    rows = compare([Run("nuts", fits("nuts"), "exact"), Run("renamed", renamed, "exact")]).rows
+    assert [(r.verdict, r.c2st) for r in rows] == [("trust", None)] * 2, rows
+    assert "its unknowns are others" in rows[0].why + rows[1].why
+
+
 def test_without_an_exact_run_weights_decide(fits):
-    (laplace, prior), reference = (lambda c: (c.rows, c.reference))(
-        compare([Run(n, fits(n), False) for n in ("laplace", "prior")])
-    )
-    assert reference is None and laplace.verdict == "trust after refinement"
+    found = compare([Run(n, fits(n), "approximate") for n in ("laplace", "prior")])
+    laplace, prior = found.rows
+    assert found.reference is None and laplace.verdict == "trust after refinement"
     assert prior.verdict == "do not trust"
 
 
@@ -113,6 +139,11 @@ def test_the_command_draws_what_is_missing_and_nothing_twice(gaussian_study, tmp
     assert [row["label"] for row in told["rows"]] == ["laplace+psis", "laplace", "prior"]
     assert json.loads((out / "comparison.json").read_text())["rows"] == told["rows"]
     assert (out / "report.html").stat().st_size > 1e6
+    (out / "runs" / "prior.nc").write_bytes(b"no fit")
+    told, mended = run("laplace", "prior", "baseline_cvae")
+    assert mended["laplace.nc"] == after["laplace.nc"] and mended["prior.nc"] != after["prior.nc"]
+    assert "holdout" in told["failed"]["baseline_cvae"]  # and the others are told
+    before = mended
     _, other = run("laplace", seed=3)
     assert other["laplace.nc"] != before["laplace.nc"] and other["prior.nc"] == before["prior.nc"]
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.inference._environment import StochasticEnv
 from det2stoc_bayes.inference._networks import Decoder
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
@@ -59,3 +60,20 @@ def test_a_latent_stays_for_an_episode(environment):
 def test_a_step_before_a_reset_is_an_error(environment):
     with pytest.raises(gymnasium.error.ResetNeeded):
         environment.step(np.zeros(1))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"starts": np.zeros((2, 3))}, r"starts: found shape \(2, 3\); allowed: \(rows, 2\)"),
+        ({"starts": np.zeros((0, 2))}, "found 0 starts and 5 steps; allowed: one at least"),
+        ({"starts": np.full((1, 2), np.nan)}, "allowed: one at least of either, all finite"),
+        ({"num_steps": 0}, "found 2 starts and 0 steps"),
+        ({"action_low": -np.ones(2), "action_high": np.ones(2)}, r"found shape \(2, 2\); allowed: \(rows, 1\)"),
+        ({"action_low": np.ones(1), "action_high": -np.ones(1)}, "allowed: low at most high"),
+    ],
+)
+def test_what_the_simulator_cannot_take_is_an_error(environment, change, said):
+    whole = {"starts": environment.starts, "action_low": -np.ones(1), "action_high": np.ones(1), "num_steps": 5}
+    with pytest.raises(Det2StocError, match=said):
+        StochasticEnv(environment.simulator, **(whole | change))

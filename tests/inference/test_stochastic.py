@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.inference._networks import Decoder
-from det2stoc_bayes.inference._stochastic import StochasticSimulator
+from det2stoc_bayes.inference._stochastic import StochasticSimulator, rows_of
 from det2stoc_bayes.transitions import Scaling, Transitions
 
 
@@ -74,6 +74,28 @@ def test_files(simulator, data, tmp_path):
     for name in ("absent.d2s", "b.d2s", "c.d2s", "d.d2s"):
         with pytest.raises(Det2StocError, match=f"{name}: found no stochastic simulator; allowed: a file that"):
             StochasticSimulator.load(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("shape", "count", "said"),
+    [
+        ((5, 3), None, r"state: found shape \(5, 3\); allowed: \(rows, 2\)"),
+        ((2,), None, r"state: found shape \(2,\); allowed: \(rows, 2\)"),
+        ((3, 2), 5, r"state: found shape \(3, 2\); allowed: \(5, 2\)"),
+    ],
+)
+def test_rows_of_another_size_are_errors(shape, count, said):
+    with pytest.raises(Det2StocError, match=said):
+        rows_of("state", np.zeros(shape), 2, count)
+
+
+def test_states_and_actions_are_those_that_were_learned_from(simulator, data):
+    assert (simulator.num_states, simulator.num_actions) == (data.state.shape[1], data.action.shape[1])
+    key, wide = jax.random.key(0), np.zeros((5, simulator.num_states + 1))
+    with pytest.raises(Det2StocError, match="state: found shape"):
+        simulator.sample(key, wide, np.zeros((5, simulator.num_actions)))
+    with pytest.raises(Det2StocError, match="action: found shape"):
+        simulator.sample(key, wide[:, 1:], np.zeros((5, simulator.num_actions + 1)))
 
 
 def test_next_states_hold_rotations():
