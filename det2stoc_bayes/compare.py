@@ -12,7 +12,6 @@ from det2stoc_bayes.doubts import weights
 from det2stoc_bayes.errors import listing
 from det2stoc_bayes.posterior import DataTree
 from det2stoc_bayes.psis import leave_one_out, reliable
-from det2stoc_bayes.report.summary import summarize
 from det2stoc_bayes.two_samples import c2st, mean_errors, sd_errors, sliced_wasserstein
 
 MOST_R_HAT, LEAST_ESS, LEAST_TIMES = 1.01, 400, 50  # gates of an exact run: chains, draws, autocorrelation times
@@ -130,6 +129,8 @@ def shortcomings(row: Row) -> list[str]:
 
 def _described(run: Run) -> Row:
     """What a run says of itself."""
+    from det2stoc_bayes.report.summary import summarize  # ArviZ's stand-in for numpyro must not come before numpyro
+
     tree, attributes = run.tree, run.tree.attrs
     rows = summarize(tree)
     r_hats, sizes = ([v for r in rows if (v := getattr(r, name)) is not None] for name in ("r_hat", "ess"))

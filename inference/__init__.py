@@ -1,5 +1,6 @@
 """Inference methods by name: one module a method, each with `fit(problem, key, *, ...) -> DataTree`."""
 
+import sys
 from importlib import import_module
 from pkgutil import iter_modules
 from types import ModuleType
@@ -16,4 +17,6 @@ def get_method(name: str) -> ModuleType:
     """A method's module, imported now; a Det2StocError lists the methods where none has this name."""
     if name not in METHODS:
         raise Det2StocError(f"method: unknown method '{name}'; {choices(name, METHODS, limit=20)}")
+    # ArviZ leaves a lazy stand-in, which has to become NumPyro before parts of it are imported.
+    getattr(sys.modules.get("numpyro"), "__version__", None)
     return import_module(f"{__name__}.{name}")

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from arviz_stats.base.array import array_stats
 from jaxtyping import Float
 
 from det2stoc_bayes.report import canvas
@@ -101,11 +100,14 @@ def trace_figure(posterior: Posterior) -> Spec:
 
 def autocorrelation_figure(posterior: Posterior) -> Spec:
     """Autocorrelation of the draws, mean over the chains."""
+    from arviz_stats.base.array import array_stats
+
+    stats: Any = array_stats
     names, traces = list(posterior)[:MOST_SHOWN], []
     for row, name in enumerate(names):
         draws = posterior[name]
         lags = min(MOST_LAG, draws.shape[1] - 1)
-        curves = np.stack([np.asarray(array_stats.autocorr(chain))[: lags + 1] for chain in draws])
+        curves = np.stack([np.asarray(stats.autocorr(chain))[: lags + 1] for chain in draws])
         style: Spec = {"y_axis": canvas.y_name(row), "hovertemplate": "%{y:.2f}"}
         mean = np.nan_to_num(curves.mean(0))
         traces.append(canvas.line(np.arange(lags + 1.0), mean, name, canvas.AFTER, **style))
