@@ -107,21 +107,19 @@ def compare(
     """Hold methods beside each other; the same command goes on where it was interrupted."""
     with reporting(debug) as stages:
         check_folder(out / "runs")
-        from det2stoc_bayes import compare as comparison
         from det2stoc_bayes import tables, verbs
         from det2stoc_bayes.files import atomic_write
+        from det2stoc_bayes.mismatch.finding import plain
         from det2stoc_bayes.report.compare_page import compare_page, misfits
 
         asked = [name.strip() for name in methods.split(",") if name.strip()]
         options = {"seed": seed, "engine": engine, "num_samples": num_samples, "progress": stages}
         believed = _load(study)
         found = verbs.compare(believed, asked, out, **options)
-        told = comparison.to_json(found)
-        from det2stoc_bayes.mismatch.finding import plain
-
+        told = plain(tables.compare_json(found))
         page = compare_page(found, name=believed.name, doubts=misfits(found))
         atomic_write(out / "report.html", page)
-        atomic_write(out / "comparison.json", json.dumps(plain(told), indent=2))
+        atomic_write(out / "comparison.json", json.dumps(told, indent=2))
     show_report(told if as_json else tables.compare_table(found, believed.name), out, as_json)
 
 

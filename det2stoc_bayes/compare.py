@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -11,16 +11,19 @@ from jaxtyping import Float
 from det2stoc_bayes.doubts import weights
 from det2stoc_bayes.errors import listing
 from det2stoc_bayes.posterior import DataTree
-from det2stoc_bayes.psis import leave_one_out, reliable
-from det2stoc_bayes.two_samples import c2st, mean_errors, sd_errors, sliced_wasserstein
+from det2stoc_bayes.psis import bfmi, leave_one_out, reliable, thinned
+from det2stoc_bayes.report.summary import summarize
+from det2stoc_bayes.run_statistics import autocorrelation_times, divergences, energies, predictive_p
+from det2stoc_bayes.two_samples import c2st, gaussian_kl, mean_errors, sd_errors, sliced_wasserstein
 
 MOST_R_HAT, LEAST_ESS, LEAST_TIMES = 1.01, 400, 50  # gates of an exact run: chains, draws, autocorrelation times
+LEAST_BFMI = 0.3  # Betancourt 2016
 AGREE = 0.55  # C2ST of two samplers of the same posterior
 NEAR = (0.6, 0.2, 0.2)  # C2ST, error of means in sds, relative error of sds: an approximation that may stand for it
 MOST_DRAWS = 4000  # that distances are taken from
 
 Kind = Literal["exact", "approximate", "no posterior"]
-Verdict = Literal["trust", "trust after refinement", "do not trust", "no posterior", "could not run"]
+Verdict = Literal["trust", "trust after refinement", "do not trust", "no posterior"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,7 @@ class Reference:
     label: str
     draws: Float[np.ndarray, "draws size"]
     unknowns: tuple[str, ...]
+    gaussian: tuple[Float[np.ndarray, " size"], Float[np.ndarray, "size size"]] | None = None  # its closed form
     agreeing: tuple[str, ...] = ()
     contradicting: tuple[str, ...] = ()
 
@@ -68,14 +72,17 @@ class Row:
     r_hat: float | None
     ess: float | None
     divergences: int | None
+    bfmi: float | None  # the worst chain's
     autocorrelation_times: float | None
     k_hat: float | None
     num_weighed: int
     refined: bool
     c2st: float | None
     wasserstein: float | None
+    kl: float | None  # of Gaussians with the draws' moments from a reference of closed form [nat]
     mean_error: float | None  # the largest, in the reference's sds
     sd_error: float | None  # the largest, relative
+    predictive_p: float | None  # of the squared misfit, at the posterior's draws
     elpd: float | None  # leave-one-recording-out
     elpd_error: float | None
     elpd_k_hat: float | None
@@ -122,6 +129,8 @@ def shortcomings(row: Row) -> list[str]:
     if row.ess is None or row.ess < LEAST_ESS:
         said = "no effective draws" if row.ess is None else f"{row.ess:.0f} effective draws"
         found.append(f"{said} (allowed: at least {LEAST_ESS})")
+    if row.bfmi is not None and not row.bfmi > LEAST_BFMI:
+        found.append(f"BFMI is {row.bfmi:.2g} (allowed: above {LEAST_BFMI})")
     if row.divergences:
         found.append(f"{row.divergences} divergences (allowed: none)")
     return found
@@ -129,8 +138,6 @@ def shortcomings(row: Row) -> list[str]:
 
 def _described(run: Run) -> Row:
     """What a run says of itself."""
-    from det2stoc_bayes.report.summary import summarize  # ArviZ's stand-in for numpyro must not come before numpyro
-
     tree, attributes = run.tree, run.tree.attrs
     rows = summarize(tree)
     r_hats, sizes = ([v for r in rows if (v := getattr(r, name)) is not None] for name in ("r_hat", "ess"))
@@ -144,36 +151,20 @@ def _described(run: Run) -> Row:
         num_draws=0 if run.draws is None else len(run.draws),
         r_hat=max(r_hats, default=None),
         ess=min(sizes) if len(sizes) == len(rows) and rows else None,
-        divergences=_divergences(tree),
-        autocorrelation_times=_times(tree),
+        divergences=divergences(tree),
+        bfmi=bfmi(energy) if (energy := energies(tree)) is not None else None,
+        autocorrelation_times=autocorrelation_times(tree),
         k_hat=k_hat,
         num_weighed=num_weighed,
         refined="k_hat" in attributes,
-        **dict.fromkeys(("c2st", "wasserstein", "mean_error", "sd_error")),
+        **dict.fromkeys(("c2st", "wasserstein", "kl", "mean_error", "sd_error")),
+        predictive_p=predictive_p(tree) if stands else None,
         **dict(zip(("elpd", "elpd_error", "elpd_k_hat"), elpd or (None,) * 3, strict=True)),
         seconds_compile=float(attributes["seconds_compile"]),
         seconds_run=float(attributes["seconds_run"]),
         simulations=int(attributes["simulations"]),
         gradients=int(attributes["gradients"]),
     )
-
-
-def _has(tree: DataTree, group: str, name: str) -> bool:
-    return group in tree.children and name in tree[group].to_dataset()
-
-
-def _divergences(tree: DataTree) -> int | None:
-    if not _has(tree, "sample_stats", "diverging"):
-        return None
-    return int(tree["sample_stats"].to_dataset()["diverging"].values.sum())
-
-
-def _times(tree: DataTree) -> float | None:
-    """Autocorrelation times that an ensemble has run for."""
-    if not _has(tree, "sample_stats", "autocorrelation_time"):
-        return None
-    stats = tree["sample_stats"].to_dataset()
-    return float(stats["steps"]) / float(stats["autocorrelation_time"].max())
 
 
 def _chosen(runs: Sequence[Run], rows: Sequence[Row]) -> Reference | None:
@@ -184,30 +175,26 @@ def _chosen(runs: Sequence[Run], rows: Sequence[Row]) -> Reference | None:
     if not passed:
         return None
     best = max(passed, key=lambda p: p[0])[1]
-    found = Reference(best.label, _some(best.draws), best.unknowns)
+    assert best.draws is not None
+    found = Reference(best.label, thinned(best.draws, MOST_DRAWS), best.unknowns)
     held = [_held_against(run, row, found) for _, run, row in passed if run is not best]
     agreeing = tuple(r.label for r in held if r.c2st is not None and r.c2st < AGREE and _is_near(r))
     contradicting = tuple(r.label for r in held if r.c2st is not None and not _is_near(r))
     return replace(found, agreeing=agreeing, contradicting=contradicting)
 
 
-def _some(draws: Float[np.ndarray, "_ size"] | None) -> Float[np.ndarray, "_ size"]:
-    """At most so many draws, evenly spread."""
-    assert draws is not None
-    return draws[np.linspace(0, len(draws) - 1, min(len(draws), MOST_DRAWS)).round().astype(int)]
-
-
 def _held_against(run: Run, row: Row, reference: Reference | None) -> Row:
     """With its distances from the reference; a run is not held against itself, nor against other unknowns."""
     if reference is None or run.label == reference.label or run.kind == "no posterior" or not run.unknowns:
         return row
-    if run.unknowns != reference.unknowns:
+    if run.draws is None or run.unknowns != reference.unknowns:
         return row
-    draws = _some(run.draws)
+    draws = thinned(run.draws, MOST_DRAWS)
     return replace(
         row,
         c2st=c2st(draws, reference.draws),
         wasserstein=sliced_wasserstein(draws, reference.draws),
+        kl=None if reference.gaussian is None else gaussian_kl(run.draws, *reference.gaussian),
         mean_error=float(np.abs(mean_errors(draws, reference.draws)).max()),
         sd_error=float(np.abs(sd_errors(draws, reference.draws)).max()),
     )
@@ -269,14 +256,3 @@ def _distance(row: Row) -> str:
     return (
         f"C2ST {row.c2st:.2f}, means within {row.mean_error:.2g} sd and sds within {100 * (row.sd_error or 0.0):.2g} %"
     )
-
-
-def to_json(found: Comparison) -> dict[str, Any]:
-    """All numbers, for a file or `--json`."""
-    held = found.reference
-    reference = held and {"label": held.label, "agreeing": held.agreeing, "contradicting": held.contradicting}
-    return {
-        "reference": reference,
-        "failed": dict(found.failed),
-        "rows": [vars(row) | {"ess_per_second": row.ess_per_second} for row in found.rows],
-    }

@@ -99,11 +99,25 @@ def build(
         "observed_data": observed_data(problem),
         "log_likelihood": xr.Dataset({"values": ((*lead, "recording"), log_likelihood)}, {"recording": recording}),
     }
+    if problem.measurement.degrees_of_freedom is None:  # of heavy tails no sum of squares is known
+        groups["constant_data"] = _constants(density, recording)
     for name in ("posterior", "unconstrained_posterior", "sample_stats", "log_likelihood"):
         groups[name] = groups[name].assign_coords(chain=np.arange(z.shape[0]), draw=np.arange(z.shape[1]))
     tree = xr.DataTree.from_dict(groups)
     tree.attrs = _attributes(problem, method, options, seed, cost) | {"noise_inflation": _inflation(density)}
     return tree
+
+
+def _constants(density: Density, recordings: list[str]) -> xr.Dataset:
+    """By recording: the log likelihood of no error, and the values that initial states leave free.
+
+    Twice what a draw lacks of the former is a sum of as many squares.
+    """
+    segments, states = density.problem.segments, density.latent.prior_sd.shape[1]
+    free = (density.latent.weight > 0).sum(1) - states
+    owner = np.arange(len(recordings))[:, None] == segments.recording
+    variables = {"log_peak": owner @ density.normalizer, "free_values": owner @ free}
+    return xr.Dataset({n: (("recording",), v) for n, v in variables.items()}, {"recording": recordings})
 
 
 def _attributes(problem: Problem, method: str, options: Mapping[str, Any], seed: int, cost: Cost) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
@@ -37,6 +37,11 @@ def smooth(log_weights: Float[np.ndarray, " draws"]) -> tuple[Float[np.ndarray, 
 def effective_draws(weights: Float[np.ndarray, " draws"]) -> float:
     """How many draws of equal weight would tell as much; 0 where none has any."""
     return float(weights.sum() ** 2 / (weights**2).sum()) if weights.any() else 0.0
+
+
+def thinned(draws: Shaped[np.ndarray, "_ ..."], count: int) -> Shaped[np.ndarray, "_ ..."]:
+    """At most so many rows, evenly spread over the set."""
+    return draws[np.linspace(0, len(draws) - 1, min(count, len(draws))).round().astype(int)]
 
 
 def resampled(
@@ -74,6 +79,14 @@ def r_hats(draws: Float[np.ndarray, "chain draw size"]) -> Float[np.ndarray, " s
 
     stats: Any = array_stats
     return np.array([float(stats.rhat(column)) for column in np.moveaxis(draws, -1, 0)])
+
+
+def bfmi(energy: Float[np.ndarray, "chain draw"]) -> float:
+    """The worst chain's share of the energy's variance that one step moves through (Betancourt 2016)."""
+    from arviz_stats.base.array import array_stats
+
+    stats: Any = array_stats
+    return float(np.min(stats.bfmi(energy)))
 
 
 def stacking_weights(log_density: Float[np.ndarray, "recordings models"]) -> Float[np.ndarray, " models"]:

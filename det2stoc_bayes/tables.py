@@ -177,6 +177,17 @@ def experiment_table(result: Mapping[str, Any]) -> RenderableType:
 VERDICTS = {"trust": "green", "trust after refinement": "yellow", "do not trust": "red", "no posterior": "yellow"}
 
 
+def compare_json(found: "det2stoc_bayes.compare.Comparison") -> dict[str, Any]:
+    """All numbers."""
+    held = found.reference
+    reference = held and {"label": held.label, "agreeing": held.agreeing, "contradicting": held.contradicting}
+    return {
+        "reference": reference,
+        "failed": dict(found.failed),
+        "rows": [vars(row) | {"ess_per_second": row.ess_per_second} for row in found.rows],
+    }
+
+
 def compare_table(found: "det2stoc_bayes.compare.Comparison", name: str) -> RenderableType:
     """A line a method: what its draws are worth, how far they are from the reference, what they took, a verdict."""
     against = f"against {found.reference.label}" if found.reference else "no exact run that passes its gates"

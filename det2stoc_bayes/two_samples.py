@@ -5,6 +5,8 @@ import warnings
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.psis import thinned
+
 Draws = Float[np.ndarray, "_ size"]
 WIDTH = 10  # hidden units an unknown, in each of two layers
 MOST_EPOCHS = 10_000
@@ -22,7 +24,7 @@ def c2st(draws: Draws, reference: Draws, *, seed: int = 1, num_folds: int = 5) -
     count, size = min(len(draws), len(reference)), draws.shape[1]
     center, scale = draws.mean(0), draws.std(0, ddof=1)
     scale = np.where(scale > 0, scale, 1.0)
-    both = np.concatenate([_thinned(draws, count), _thinned(reference, count)])
+    both = np.concatenate([thinned(draws, count), thinned(reference, count)])
     network = MLPClassifier((WIDTH * size, WIDTH * size), max_iter=MOST_EPOCHS, random_state=seed)
     folds = KFold(num_folds, shuffle=True, random_state=seed)
     with warnings.catch_warnings():
@@ -41,6 +43,14 @@ def sliced_wasserstein(draws: Draws, reference: Draws, *, seed: int = 0, num_dir
     return float(np.abs(a - b).mean())
 
 
+def gaussian_kl(draws: Draws, mean: Float[np.ndarray, " size"], covariance: Float[np.ndarray, "size size"]) -> float:
+    """KL(N(draws' moments) || N(mean, covariance)) [nat]."""
+    off, own = draws.mean(0) - mean, np.atleast_2d(np.cov(draws.T))
+    inner = np.linalg.solve(covariance, own)
+    distance = off @ np.linalg.solve(covariance, off)
+    return float(0.5 * (np.trace(inner) + distance - len(mean) - np.linalg.slogdet(inner)[1]))
+
+
 def mean_errors(draws: Draws, reference: Draws) -> Float[np.ndarray, " size"]:
     """Distance between means in the reference's sds."""
     return (draws.mean(0) - reference.mean(0)) / reference.std(0, ddof=1)
@@ -49,8 +59,3 @@ def mean_errors(draws: Draws, reference: Draws) -> Float[np.ndarray, " size"]:
 def sd_errors(draws: Draws, reference: Draws) -> Float[np.ndarray, " size"]:
     """Relative error of the sds."""
     return draws.std(0, ddof=1) / reference.std(0, ddof=1) - 1
-
-
-def _thinned(draws: Draws, count: int) -> Draws:
-    """So many draws, evenly spread over the set."""
-    return draws[np.linspace(0, len(draws) - 1, count).round().astype(int)]

@@ -70,15 +70,14 @@ def compare(
     if not methods:
         raise MethodNotApplicable(f"--methods: none is named; allowed: some of {listing(METHODS)}, separated by commas")
     chosen = [_method(label) for label in dict.fromkeys(methods)]
-    made = {"content": Simulator(study, engine).fingerprint, "version": version("det2stoc-bayes")}
+    made = {"content": Simulator(study).fingerprint, "version": version("det2stoc-bayes")}
     runs, failed = [], {}
     for i, (label, name, options) in enumerate(chosen):
         progress("comparing methods", i, len(chosen))
-        asked = {"seed": seed, "engine": engine, "num_samples": num_samples} | made | options
-        path = Path(out) / "runs" / f"{label}.nc"
+        how: dict[str, Any] = {"seed": seed, "engine": engine, "num_samples": num_samples} | options
+        asked, path = how | made, Path(out) / "runs" / f"{label}.nc"
         tree = posterior.load_made(path, asked)
         if tree is None:
-            how: dict[str, Any] = {"seed": seed, "engine": engine, "num_samples": num_samples} | options
             try:
                 tree = fit(study, name, progress=progress, **how)
             except (MethodNotApplicable, SamplingFailed, SimulationDiverged) as error:

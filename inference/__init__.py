@@ -1,13 +1,15 @@
 """Inference methods by name: one module a method, each with `fit(problem, key, *, ...) -> DataTree`."""
 
-import sys
 from importlib import import_module
 from pkgutil import iter_modules
 from types import ModuleType
 
+import numpyro
+
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.suggestions import choices
 
+_ = numpyro.__version__  # ArviZ leaves a lazy stand-in, which has to become NumPyro before parts of it are imported
 METHODS: tuple[str, ...] = tuple(sorted(m.name for m in iter_modules(__path__) if not m.name.startswith("_")))
 EXACT = ("blackjax_nuts", "emcee", "nuts", "smc")  # whose draws are those of the posterior once they have converged
 NO_POSTERIOR = ("baseline_cvae", "population_search")  # the one predicts, the other seeks a population
@@ -17,6 +19,4 @@ def get_method(name: str) -> ModuleType:
     """A method's module, imported now; a Det2StocError lists the methods where none has this name."""
     if name not in METHODS:
         raise Det2StocError(f"method: unknown method '{name}'; {choices(name, METHODS, limit=20)}")
-    # ArviZ leaves a lazy stand-in, which has to become NumPyro before parts of it are imported.
-    getattr(sys.modules.get("numpyro"), "__version__", None)
     return import_module(f"{__name__}.{name}")

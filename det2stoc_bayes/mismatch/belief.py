@@ -19,7 +19,7 @@ from det2stoc_bayes.errors import SamplingFailed
 from det2stoc_bayes.mismatch.coordinates import Affine, Coordinates, Population
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.populations import freed
-from det2stoc_bayes.psis import effective_draws, reliable, resampled, smooth
+from det2stoc_bayes.psis import effective_draws, reliable, resampled, smooth, thinned
 
 NUM_DRAWS = 1000
 TEMPERING = 60_000  # evaluations that particles take (15 moves a stage)
@@ -106,7 +106,7 @@ def _about(fit: Fit, share: float) -> tuple[Fit, Density, Coordinates]:
 def with_chains(cheap: Belief, chains: Float[np.ndarray, "chain draw size"], evaluations: int) -> Belief:
     """The same posterior by Markov chains in place of the cheap draws, as many and evenly thinned."""
     flat = chains.reshape(-1, chains.shape[-1])
-    kept = flat[np.linspace(0, len(flat) - 1, len(cheap.z)).round().astype(int)]
+    kept = thinned(flat, len(cheap.z))
     terms = cheap.density.log_likelihood_by_recording(kept)
     return Belief(cheap.fit, cheap.density, kept, terms, "nuts", cheap.k_hat, evaluations)
 

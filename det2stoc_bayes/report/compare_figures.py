@@ -4,8 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from arviz_stats.base.array import array_stats
 from jaxtyping import Float
 
+from det2stoc_bayes.psis import thinned
 from det2stoc_bayes.report import canvas
 from det2stoc_bayes.report.canvas import Spec
 
@@ -60,7 +62,7 @@ def pair_figure(posterior: Posterior, reference: Posterior | None, number: int) 
         for shown, of, name in ((reference, "var(--muted)", "reference"), (posterior, colour(number), "draws")):
             if shown is None or a not in shown or b not in shown:
                 continue
-            x, y = (_some(np.ravel(shown[n])) for n in (a, b))
+            x, y = (thinned(np.ravel(shown[n]), MOST_POINTS) for n in (a, b))
             dots = {"mode": "markers", "marker": {"color": of, "size": 3, "opacity": 0.55}, "xaxis": x_name}
             traces.append(canvas.line(x, y, name, of, y_axis=y_name, **dots))
     return {"data": traces, "layout": spec}
@@ -92,7 +94,7 @@ def trace_figure(posterior: Posterior) -> Spec:
     names, traces = list(posterior)[:MOST_SHOWN], []
     for row, name in enumerate(names):
         for number, chain in enumerate(posterior[name][:8]):
-            at = np.linspace(0, len(chain) - 1, min(len(chain), MOST_POINTS)).round().astype(int)
+            at = thinned(np.arange(len(chain)), MOST_POINTS)
             style: Spec = {"width": 0.9, "y_axis": canvas.y_name(row)}
             traces.append(canvas.line(at.astype(float), chain[at], f"chain {number}", colour(number), **style))
     return {"data": traces, "layout": canvas.panels(names, "draw", [{} for _ in names])}
@@ -100,8 +102,6 @@ def trace_figure(posterior: Posterior) -> Spec:
 
 def autocorrelation_figure(posterior: Posterior) -> Spec:
     """Autocorrelation of the draws, mean over the chains."""
-    from arviz_stats.base.array import array_stats
-
     stats: Any = array_stats
     names, traces = list(posterior)[:MOST_SHOWN], []
     for row, name in enumerate(names):
@@ -112,6 +112,20 @@ def autocorrelation_figure(posterior: Posterior) -> Spec:
         mean = np.nan_to_num(curves.mean(0))
         traces.append(canvas.line(np.arange(lags + 1.0), mean, name, canvas.AFTER, **style))
     return {"data": traces, "layout": canvas.panels(names, "lag [draws]", [{"range": [-0.25, 1.05]} for _ in names])}
+
+
+def energy_figure(energy: Draws) -> Spec:
+    """Energy about each chain's mean, and its change from draw to draw: as wide as each other where chains mix well."""
+    about, change = (energy - energy.mean(1, keepdims=True)).ravel(), np.diff(energy, axis=1).ravel()
+    low, high = np.quantile(np.concatenate([about, change]), [0.001, 0.999])
+    edges = np.linspace(float(low), float(high), 61)
+    middle, traces = (edges[1:] + edges[:-1]) / 2, []
+    for values, name, of in ((about, "energy", canvas.BEFORE), (change, "change of energy", canvas.AFTER)):
+        heights = np.histogram(values, edges, density=True)[0]
+        style: Spec = {"hovertemplate": "%{y:.3f}"}
+        traces.append(canvas.line(middle, heights, name, of, **style))
+    axes = {"xaxis": canvas.axis("energy less its mean; its change (second colour)"), "yaxis": canvas.axis("density")}
+    return {"data": traces, "layout": canvas.layout(220, **axes)}
 
 
 def cost_figure(rows: Sequence[Any], cost: str, title: str) -> Spec:
@@ -125,7 +139,3 @@ def cost_figure(rows: Sequence[Any], cost: str, title: str) -> Spec:
         traces.append(canvas.line(*where, row.label, colour(number), **dot))
     axes = {"xaxis": canvas.axis(title, type="log"), "yaxis": canvas.axis("C2ST", range=[0.45, 1.02])}
     return {"data": traces, "layout": canvas.layout(320, **axes, hovermode="closest")}
-
-
-def _some(draws: Float[np.ndarray, " draws"]) -> Float[np.ndarray, " some"]:
-    return draws[np.linspace(0, len(draws) - 1, min(len(draws), MOST_POINTS)).round().astype(int)]

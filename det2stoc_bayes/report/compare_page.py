@@ -10,22 +10,25 @@ from det2stoc_bayes.doubts import misfit
 from det2stoc_bayes.psis import reliable
 from det2stoc_bayes.report import compare_figures as figures
 from det2stoc_bayes.report import numbers, page
+from det2stoc_bayes.report.canvas import Spec
 from det2stoc_bayes.report.compare_figures import Posterior
+from det2stoc_bayes.report.summary import scalars
+from det2stoc_bayes.run_statistics import energies
 
 BADGES = {
     "trust": "no_mismatch", "trust after refinement": "inconclusive", "do not trust": "mismatch",
-    "no posterior": "inconclusive", "could not run": "mismatch",
+    "no posterior": "inconclusive",
 }  # fmt: skip
 COLUMNS = (
-    "draws", "R-hat", "ESS", "ESS / s", "divergences", "k-hat", "C2ST", "Wasserstein [sd]", "mean [sd]", "sd [%]",
-    "LOO [nat]", "compile [s]", "run [s]", "simulations", "gradients",
+    "draws", "R-hat", "ESS", "ESS / s", "divergences", "BFMI", "k-hat", "C2ST", "Wasserstein [sd]", "KL [nat]",
+    "mean [sd]", "sd [%]", "predictive p", "LOO [nat]", "compile [s]", "run [s]", "simulations", "gradients",
 )  # fmt: skip
 MOST_PARAMETERS = 12  # in the forest
 
 
 def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) -> str:
     """The report as html text; `doubts` speak against the model, whatever the method."""
-    posteriors = {run.label: posterior(run) for run in found.runs}
+    posteriors = {run.label: _posterior(run) for run in found.runs}
     names = list(dict.fromkeys(n for p in posteriors.values() for n in p))
     reference = posteriors.get(found.reference.label) if found.reference else None
     numbered = [(k, run) for k, run in enumerate(found.runs) if run.draws is not None]
@@ -43,10 +46,9 @@ def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) ->
         columns=COLUMNS,
         failed=found.failed,
         rows=[{"label": row.label, "values": cells(row)} for row in found.rows],
-        forests=[(n, page.embedded(figures.forest_figure(posteriors, n))) for n in names[:MOST_PARAMETERS]],
-        forest_height=70 + figures.ROW * len(posteriors),
+        forests=[_drawn(n, figures.forest_figure(posteriors, n)) for n in names[:MOST_PARAMETERS]],
         costs=[
-            (title, page.embedded(figures.cost_figure(found.rows, cost, title)))
+            _drawn(title, figures.cost_figure(found.rows, cost, title))
             for cost, title in (("seconds_run", "run [s]"), ("simulations", "simulations"))
         ],
         runs=drawn,
@@ -55,21 +57,11 @@ def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) ->
 
 def misfits(found: Comparison) -> list[str]:
     """What speaks against the model under every method, once."""
-    return list(dict.fromkeys(said for run in found.runs if (said := misfit(run.tree))))[:1]
+    return [said for run in found.runs if (said := misfit(run.tree))][:1]
 
 
-def posterior(run: Run) -> Posterior:
-    """Draws (chain, draw) of every scalar of the posterior group, further dimensions as `friction[drop_03]`."""
-    if "posterior" not in run.tree.children:
-        return {}
-    out = {}
-    for name, data in run.tree["posterior"].to_dataset().data_vars.items():
-        data = data.transpose("chain", "draw", ...)
-        for index in np.ndindex(data.shape[2:]):
-            labels = [str(data[d].values[i]) for d, i in zip(data.dims[2:], index, strict=True)]
-            label = f"{name}[{', '.join(labels)}]" if labels else str(name)
-            out[label] = np.asarray(data.values[(slice(None), slice(None), *index)], float)
-    return out
+def _posterior(run: Run) -> Posterior:
+    return {label: draws for _, label, draws in scalars(run.tree)}
 
 
 def cells(row: Row) -> list[str]:
@@ -80,10 +72,11 @@ def cells(row: Row) -> list[str]:
         loo = numbers.plus_minus(row.elpd, row.elpd_error)
     if row.elpd_k_hat is not None and row.elpd_k_hat > reliable(max(row.num_draws, 2)):
         loo += f" (k-hat {numbers.number(row.elpd_k_hat, 2)}: unreliable)"
-    told = (row.r_hat, row.ess, row.ess_per_second, row.divergences, row.k_hat, row.c2st, row.wasserstein)
+    chains = (row.r_hat, row.ess, row.ess_per_second, row.divergences, row.bfmi, row.k_hat)
+    distances = (row.c2st, row.wasserstein, row.kl, row.mean_error, percent)
     return [
         str(row.num_draws or numbers.MISSING),
-        *(_number(value) for value in (*told, row.mean_error, percent)),
+        *(_number(value) for value in (*chains, *distances, row.predictive_p)),
         loo,
         *(_number(value) for value in (row.seconds_compile, row.seconds_run)),
         str(row.simulations),
@@ -103,11 +96,16 @@ def _verdict(row: Row, number: int) -> dict[str, str]:
 def _figures(run: Run, draws: Posterior, reference: Posterior | None, number: int) -> dict[str, Any]:
     """Ranks, traces and autocorrelation where draws come in chains; pairs in any case."""
     against = None if reference is draws else reference
-    shown = {"Pairs": (figures.pair_figure(draws, against, number), 250)}
-    height = 150 * min(len(draws), figures.MOST_SHOWN)
+    shown = {"Pairs": figures.pair_figure(draws, against, number)}
     if run.kind == "exact":
-        shown["Ranks by chain"] = (figures.rank_figure(draws), height)
-        shown["Traces"] = (figures.trace_figure(draws), height)
-        shown["Autocorrelation"] = (figures.autocorrelation_figure(draws), height)
-    embedded = [(title, page.embedded(spec), tall) for title, (spec, tall) in shown.items()]
-    return {"label": run.label, "figures": embedded}
+        shown["Ranks by chain"] = figures.rank_figure(draws)
+        shown["Traces"] = figures.trace_figure(draws)
+        shown["Autocorrelation"] = figures.autocorrelation_figure(draws)
+    if (energy := energies(run.tree)) is not None and energy.shape[1] > 1:
+        shown["Energy"] = figures.energy_figure(energy)
+    return {"label": run.label, "figures": [_drawn(title, spec) for title, spec in shown.items()]}
+
+
+def _drawn(title: str, spec: Spec) -> tuple[str, str, int]:
+    """Title, figure for the page, and its height."""
+    return title, page.embedded(spec), spec["layout"]["height"]

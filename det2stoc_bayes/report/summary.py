@@ -1,12 +1,14 @@
 """A posterior in one row a parameter: mean, sd, interval, and whether the draws can be trusted."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from arviz_stats.base.array import array_stats
+from jaxtyping import Float
 
 INTERVAL = (0.025, 0.975)
 
@@ -49,15 +51,19 @@ def summarize(fit: xr.DataTree) -> list[Row]:
     if "posterior" not in fit.children:
         return []
     times, effective = _autocorrelation_times(fit), fit.attrs.get("effective_draws")
-    rows = []
+    return [_row(label, draws, times.get(variable), effective) for variable, label, draws in scalars(fit)]
+
+
+def scalars(fit: xr.DataTree) -> Iterator[tuple[str, str, Float[np.ndarray, "_ _"]]]:
+    """Variable, label (`friction[drop_03]` of a further dimension) and draws (chain, draw) of every scalar."""
+    if "posterior" not in fit.children:
+        return
     for name, data in fit.children["posterior"].to_dataset().data_vars.items():
         data = data.transpose("chain", "draw", ...)
         for index in np.ndindex(data.shape[2:]):
             labels = [str(data[d].values[i]) for d, i in zip(data.dims[2:], index, strict=True)]
             label = f"{name}[{', '.join(labels)}]" if labels else str(name)
-            draws = data.values[(slice(None), slice(None), *index)]
-            rows.append(_row(label, draws, times.get(str(name)), effective))
-    return rows
+            yield str(name), label, np.asarray(data.values[(slice(None), slice(None), *index)], float)
 
 
 def _row(name: str, draws: np.ndarray, kept_per_time: float | None, effective: float | None) -> Row:

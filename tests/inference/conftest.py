@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpyro  # noqa: F401  # before ArviZ leaves a lazy stand-in for it
 import pytest
 
 from det2stoc_bayes.inference import get_method

@@ -5,16 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 from typer.testing import CliRunner
 
 from det2stoc_bayes import cli, verbs
-from det2stoc_bayes.compare import Run, compare, shortcomings, to_json
+from det2stoc_bayes.compare import Run, compare, shortcomings
 from det2stoc_bayes.errors import Det2StocError
-from det2stoc_bayes.inference import EXACT
+from det2stoc_bayes.inference import EXACT, get_method
+from det2stoc_bayes.models import linear_gaussian
 from det2stoc_bayes.psis import leave_one_out
 from det2stoc_bayes.report.compare_page import compare_page
 from det2stoc_bayes.study import load_study
+from det2stoc_bayes.tables import compare_json
 
 METHODS = ("nuts", "emcee", "smc", "laplace", "prior")
 
@@ -114,13 +116,51 @@ def test_leave_one_out_has_its_closed_form():
     assert error == pytest.approx(exact.std(ddof=1) * np.sqrt(len(y)), rel=0.05) and k_hat < 0.7
 
 
+def test_chains_tell_of_their_energy_and_of_the_misfit(comparison, gaussian_problem):
+    nuts, emcee = row_of(comparison, "nuts"), row_of(comparison, "emcee")
+    assert nuts.bfmi > 0.6 and emcee.bfmi is None  # measured: 0.9
+    assert 0.01 < nuts.predictive_p < 0.99 and emcee.predictive_p == pytest.approx(nuts.predictive_p, abs=0.01)
+    surer = replace(gaussian_problem, noise=gaussian_problem.noise / 1.5)
+    tree = get_method("laplace").fit(surer, 0, num_samples=400)
+    assert compare([Run("laplace", tree, "exact")]).rows[0].predictive_p < 1e-3
+
+
+def test_predictive_p_is_that_of_as_many_squares_as_values_are_free(gaussian_problem):
+    """Against squares that are left by least squares, without the library's own algebra."""
+    tree = get_method("laplace").fit(gaussian_problem, 0, num_samples=400)
+    free = tree["constant_data"].to_dataset()["free_values"].values
+    segments = gaussian_problem.segments
+    assert free.tolist() == [segments.values[0].size - 4] * 2
+    assert row_of(compare([Run("laplace", tree, "exact")]), "laplace").predictive_p == pytest.approx(
+        float(chi2.sf(_misfits(gaussian_problem, tree), free.sum()).mean()), abs=0.01
+    )  # measured: 0.003, by the broad prior of the starts
+
+
+def _misfits(problem, tree):
+    """Squares left by free initial states, draw by draw."""
+    draws = tree["posterior"].to_dataset()
+    found = []
+    for x, z in zip(draws["gravity_x"].values.ravel(), draws["gravity_z"].values.ravel(), strict=True):
+        total = 0.0
+        for s in range(problem.segments.count):
+            k = np.rint((problem.segments.time[s] - problem.segments.time[s, 0]) / linear_gaussian.TIMESTEP)
+            for axis in range(2):
+                curve = linear_gaussian.TIMESTEP**2 * k * (k + 1) / 2 * (linear_gaussian.AXES[axis] @ [x, z])
+                y = problem.segments.values[s, :, axis] - curve
+                start = np.stack([np.ones_like(k), k], 1)
+                left = y - start @ np.linalg.lstsq(start, y, rcond=None)[0]
+                total += (left**2).sum() / problem.noise[axis] ** 2
+        found.append(total)
+    return np.array(found)
+
+
 def test_the_page_says_what_the_table_says(comparison):
     page = compare_page(comparison, name="<slides>", doubts=["the model's squared misfit is large"])
     assert "&lt;slides&gt;" in page and "<slides>" not in page
     assert "Whatever the method: the model&#39;s squared misfit is large" in page
     for row in comparison.rows:
         assert row.label in page and row.verdict in page
-    json.dumps(to_json(comparison), default=float)
+    json.dumps(compare_json(comparison), default=float)
 
 
 def test_the_command_draws_what_is_missing_and_nothing_twice(gaussian_study, tmp_path):
