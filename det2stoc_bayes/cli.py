@@ -33,6 +33,7 @@ app = typer.Typer(
 StudyFolder = Annotated[Path, typer.Argument(metavar="STUDY", help="The study's folder.", show_default=False)]
 Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Everything random follows from it.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
+Cluster = Annotated[str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler, as tcp://HOST:8786.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an unforeseen error.")]
 
 
@@ -124,6 +125,43 @@ def compare(
 
 
 @app.command()
+def calibrate(
+    problem: Annotated[
+        str, typer.Argument(metavar="STUDY|PROBLEM", help="A study's folder, or a problem's name.", show_default=False)
+    ],
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="An inference method; svi+psis for a refined one.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where replications and report go.", show_default=False)],
+    num_replications: Annotated[
+        int, typer.Option(min=20, max=MOST_DRAWS, help="Simulated and fitted data sets.")
+    ] = 500,
+    num_samples: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="Draws of a fit, at first.")] = 200,
+    engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
+    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 0,
+    cluster: Cluster = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Test whether a method's posteriors hold the truth as often as they say; goes on where it was interrupted."""
+    with reporting(debug) as stages:
+        check_folder(out)
+        from det2stoc_bayes import calibration, tables, verbs
+        from det2stoc_bayes.files import atomic_write
+        from det2stoc_bayes.mismatch.finding import plain
+        from det2stoc_bayes.report.calibration_page import calibration_page
+
+        options = {"seed": seed, "engine": engine, "num_samples": num_samples, "jobs": jobs, "cluster": cluster}
+        options |= {"num_replications": num_replications, "progress": stages}
+        found = verbs.calibrate(_study_or_problem(problem), method, out, **options)
+        told = calibration.to_json(found)
+        atomic_write(out / "report.html", calibration_page(found))
+        atomic_write(out / "calibration.json", json.dumps(plain(told), indent=2))
+    show_report(told if as_json else tables.calibration_tables(found), out, as_json)
+
+
+@app.command()
 def diagnose(
     study: StudyFolder,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the report goes.", show_default=False)],
@@ -201,6 +239,21 @@ def effects(seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None
         from det2stoc_bayes import tables
         from det2stoc_bayes.mismatch.effects import CATALOGUE
     show(tables.effects_json(CATALOGUE) if as_json else tables.effects_table(CATALOGUE), as_json)
+
+
+def _study_or_problem(given: str) -> "det2stoc_bayes.study.Study | str":
+    """A study that is read, or the name of a problem; a folder goes before a problem of its name."""
+    from det2stoc_bayes.errors import Det2StocError
+    from det2stoc_bayes.models import problems
+    from det2stoc_bayes.suggestions import choices
+
+    if Path(given).exists() or len(Path(given).parts) > 1:
+        return _load(Path(given))
+    if given not in problems():
+        raise Det2StocError(
+            f"{given}: no such folder or problem; {choices(given, ["a study's folder", *problems()], 20)}"
+        )
+    return given
 
 
 def _load(folder: Path) -> "det2stoc_bayes.study.Study":

@@ -7,6 +7,7 @@ from scipy import stats
 Truths = Float[np.ndarray, "replications size"]
 Draws = Float[np.ndarray, "replications draws size"]
 NUM_BINS = 20
+NUM_SIMULATED = 2000
 
 
 def ranks(draws: Draws, truth: Truths) -> Int[np.ndarray, "replications size"]:
@@ -16,11 +17,49 @@ def ranks(draws: Draws, truth: Truths) -> Int[np.ndarray, "replications size"]:
 
 def rank_p_values(ranks: Int[np.ndarray, "replications size"], num_draws: int) -> Float[np.ndarray, " size"]:
     """p-value of each unknown's ranks under uniformity: chi-squared over bins of as equal a width as ranks allow."""
-    bins = min(NUM_BINS, num_draws + 1, max(len(ranks) // 5, 2))
+    bins = num_bins(len(ranks), num_draws)
     edges = np.linspace(0, num_draws + 1, bins + 1).round().astype(int)
     expected = np.diff(edges) / (num_draws + 1) * len(ranks)
     counts = np.stack([np.histogram(column, edges - 0.5)[0] for column in ranks.T])
     return stats.chi2.sf((np.square(counts - expected) / expected).sum(1), bins - 1)
+
+
+def num_bins(replications: int, num_draws: int) -> int:
+    """Bins of a histogram of ranks: five replications each at least."""
+    return min(NUM_BINS, num_draws + 1, max(replications // 5, 2))
+
+
+def fractions(
+    ranks: Int[np.ndarray, "replications size"], num_draws: int, random: np.random.Generator
+) -> Float[np.ndarray, "replications size"]:
+    """Ranks as shares of 1, ties broken at random: uniform on (0, 1) where the ranks are."""
+    return (ranks + random.uniform(size=ranks.shape)) / (num_draws + 1)
+
+
+def uniform_p_values(fractions: Float[np.ndarray, "replications size"]) -> Float[np.ndarray, " size"]:
+    """p-value of each column under uniformity (Kolmogorov and Smirnov)."""
+    return np.array([stats.kstest(column, "uniform").pvalue for column in fractions.T])
+
+
+def holm(p_values: Float[np.ndarray, " tests"]) -> Float[np.ndarray, " tests"]:
+    """p-values corrected for their number (Holm 1979): the least is below a level by chance as often as that says."""
+    order = np.argsort(p_values)
+    corrected = np.maximum.accumulate(np.arange(len(p_values), 0, -1) * p_values[order])
+    return np.minimum(corrected, 1.0)[np.argsort(order)]
+
+
+def ecdf_band(
+    count: int, level: Float[np.ndarray, " levels"], confidence: float, random: np.random.Generator
+) -> Float[np.ndarray, "2 levels"]:
+    """Bounds within which the whole empirical distribution of `count` uniform numbers stays (Sailynoja et al. 2022).
+
+    They are binomial quantiles at one probability everywhere, which simulated samples set.
+    """
+    simulated = random.uniform(size=(NUM_SIMULATED, count))
+    below = np.stack([(simulated <= at).sum(1) for at in level], 1)
+    tails = np.minimum(stats.binom.cdf(below, count, level), stats.binom.sf(below - 1, count, level))
+    least = np.quantile(tails.min(1), 1 - confidence)
+    return np.stack([stats.binom.ppf(least, count, level), stats.binom.isf(least, count, level)]) / count
 
 
 def credibilities(draws: Draws, truth: Truths, random: np.random.Generator) -> Float[np.ndarray, " replications"]:

@@ -1,11 +1,13 @@
 """Outputs appear whole or not at all: written beside their place, then moved there in one step."""
 
+import json
 import os
 import secrets
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from det2stoc_bayes.errors import Det2StocError
 
@@ -61,3 +63,31 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
+
+
+@contextmanager
+def appending(
+    path: str | os.PathLike[str],
+) -> Iterator[tuple[list[dict[str, Any]], Callable[[Mapping[str, Any]], None]]]:
+    """The JSON lines that a file has, and what appends one; a line that was cut off is removed first."""
+    path = Path(path)
+    text = path.read_text("utf-8", errors="replace") if path.is_file() else ""
+    lines = []
+    for line in text.splitlines():
+        with suppress(json.JSONDecodeError):
+            found = json.loads(line)
+            lines += [found] if isinstance(found, dict) else []
+    whole = "".join(json.dumps(line) + "\n" for line in lines)
+    if whole != text:
+        atomic_write(path, whole)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+
+            def append(line: Mapping[str, Any]) -> None:
+                file.write(json.dumps(line) + "\n")
+                file.flush()
+
+            yield lines, append
+    except OSError as error:
+        raise unwritable(path, error) from error

@@ -1,5 +1,6 @@
 """A study's believed model, its uncertain parameters, and an engine that runs it."""
 
+import copy
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,6 +39,12 @@ class Simulator:
         self._known = known
         names = {a.field for a in (*self.addresses, *known.values())}
         self._base = {name: np.asarray(model_field(self.model, name), dtype=float) for name in sorted(names)}
+
+    def on(self, study: Study) -> "Simulator":
+        """The same model and engine for other recordings; the study differs in these alone."""
+        other = copy.copy(self)
+        other.study = study
+        return other
 
     @property
     def counter(self) -> Counter:

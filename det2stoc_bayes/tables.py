@@ -11,6 +11,7 @@ from rich.text import Text
 
 if TYPE_CHECKING:
     # Dotted names, so that the checker of the tests can look them up.
+    import det2stoc_bayes.calibration
     import det2stoc_bayes.compare
     import det2stoc_bayes.identifiability
     import det2stoc_bayes.mismatch.effects.base
@@ -214,6 +215,23 @@ def compare_table(found: "det2stoc_bayes.compare.Comparison", name: str) -> Rend
     for label, why in found.failed.items():
         made.add_row(label, *[MISSING] * 8, "[red]could not run", escape(why))
     return made
+
+
+# --- calibrate ------------------------------------------------------------
+def calibration_tables(found: "det2stoc_bayes.calibration.Calibration") -> RenderableType:
+    """A line an unknown, one for all together, and the verdict in a sentence."""
+    headings = ("unknown", "p chi-squared>", "p uniform>", "mean rank>", "rank spread>", "sd / prior sd>", "")
+    made = table(f"{found.problem}: {found.method}, {len(found.ranks)} replications", *headings)
+    for u in found.unknowns:
+        told = (number(v, 3) for v in (u.p_chi2, u.p_uniform, u.mean, u.spread, u.sd))
+        made.add_row(escape(u.name), *told, f"[red]{u.shape}" if u.rejected else "[green]even")
+    made.add_row("all together (TARP)", MISSING, number(found.p_tarp, 3), *[MISSING] * 3, "")
+    notes = []
+    if found.failed:
+        notes.append(f"{len(found.failed)} replications could not be fitted; the first: {found.failed[0]}")
+    if found.num_few:
+        notes.append(f"In {found.num_few} replications the draws are worth fewer than {found.num_draws}.")
+    return _stack([made, *(Text(n) for n in notes), Text(found.verdict, style="bold")])
 
 
 # --- effects ------------------------------------------------------------

@@ -9,17 +9,21 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.files import atomic_write
-from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.problem import Problem, make_problem
+from det2stoc_bayes.simulator import Simulator
+from det2stoc_bayes.study import load_study
 
 MODEL = Path(__file__).with_suffix(".xml")
 AXES = np.array([[0.8, 0.6], [-0.6, 0.8]])  # x and z of the slides' directions
 COLUMNS = ("qpos/first", "qpos/second")
 TIMESTEP = 0.005
+GRAVITY = (0.3, -0.1)  # x and z under which the problem's own recordings are simulated
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,13 @@ def write_study(folder: Path, gravity: Sequence[float], *, seed: int = 0, settin
         lines = [f"{t:.6f},{a:.17g},{b:.17g}" for t, (a, b) in zip(times, positions, strict=True)]
         atomic_write(folder / "recordings" / f"slide_{r + 1}.csv", "\n".join(["time," + ",".join(COLUMNS), *lines, ""]))
     return folder
+
+
+def pose(*, engine: str = "c", num_threads: int = 0) -> Problem:
+    """The problem of recordings under one gravity."""
+    with TemporaryDirectory() as folder:
+        study = load_study(write_study(Path(folder) / "linear_gaussian", GRAVITY, seed=1))
+        return make_problem(Simulator(study, engine, num_threads))
 
 
 def with_recordings(problem: Problem, recordings: Sequence[Float[np.ndarray, "samples 2"]]) -> Problem:
