@@ -101,6 +101,9 @@ def compare(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where runs and report go.", show_default=False)],
     engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
     num_samples: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="Draws in all, of each method.")] = 1000,
+    num_seeds: Annotated[int, typer.Option(min=1, max=1000, help="Runs of each method, from --seed on.")] = 1,
+    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 1,
+    cluster: Cluster = None,
     seed: Seed = 0,
     as_json: Json = False,
     debug: Debug = False,
@@ -114,7 +117,8 @@ def compare(
         from det2stoc_bayes.report.compare_page import compare_page, misfits
 
         asked = [name.strip() for name in methods.split(",") if name.strip()]
-        options = {"seed": seed, "engine": engine, "num_samples": num_samples, "progress": stages}
+        options = {"seed": seed, "num_seeds": num_seeds, "engine": engine, "num_samples": num_samples}
+        options |= {"jobs": jobs, "cluster": cluster, "progress": stages}
         believed = _load(study)
         found = verbs.compare(believed, asked, out, **options)
         told = plain(tables.compare_json(found))

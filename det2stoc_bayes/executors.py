@@ -7,6 +7,7 @@ JAX's precision is a setting of the whole process, and each task starts with it 
 import os
 import re
 import signal
+import socket
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -158,16 +159,30 @@ def _client(address: str) -> "Iterator[distributed.Client]":
             "--cluster: Dask is not installed; allowed: pip install 'det2stoc-bayes[cluster]'"
         ) from error
     try:
+        _greet(address)
         client = Client(address, timeout=SECONDS, set_as_default=False)
     except Exception as error:  # of sockets, names, certificates, protocols: whatever the library meets
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise Det2StocError(
-            f"--cluster {address}: no Dask scheduler answers there within {SECONDS} s; "
+            f"--cluster {address}: no Dask scheduler answers there ({reason}); "
             "allowed: the address that `dask scheduler` prints"
         ) from error
     try:
         yield client
     finally:
         client.close(timeout=SECONDS)
+
+
+def _greet(address: str) -> None:
+    """An OSError where nobody speaks Dask's protocol: its client would wait for another server's answer for ever."""
+    scheme, _, rest = address.partition("://")
+    host, _, port = rest.rpartition(":")
+    if int(port) > 65535:
+        raise OSError("a port is at most 65535")
+    with socket.create_connection((host.strip("[]"), int(port)), timeout=SECONDS) as line:
+        # With tls it is the library's to speak first.
+        if scheme == "tcp" and b"pickle-protocol" not in line.recv(4096):
+            raise OSError("another server")
 
 
 def _check_versions(client: "distributed.Client") -> None:

@@ -58,41 +58,67 @@ def compare(
     out: str | os.PathLike[str],
     *,
     seed: int = 0,
+    num_seeds: int = 1,
     engine: str = "c",
     num_samples: int = 1000,
+    jobs: int = 1,
+    cluster: str | None = None,
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> "Comparison":
     """Posteriors of several methods, `svi+psis` for a refined one: those that `out` holds are not drawn again.
 
-    `out/runs` gets one .nc a method, each as soon as it is done.
+    `out/runs` gets one .nc a method and seed (from `seed` on), each as soon as it is done, by `jobs` processes (1: this
+    one, 0: one a core) or the workers of the Dask scheduler `cluster`.
     """
     from det2stoc_bayes import posterior
     from det2stoc_bayes.compare import Run, compare
+    from det2stoc_bayes.executors import Here, finished, workers
     from det2stoc_bayes.inference import METHODS
 
     if not methods:
         raise MethodNotApplicable(f"--methods: none is named; allowed: some of {listing(METHODS)}, separated by commas")
     chosen = [_method(label) for label in dict.fromkeys(methods)]
     made = {"content": Simulator(study).fingerprint, "version": version("det2stoc-bayes")}
-    runs, failed = [], {}
-    for i, (label, name, options) in enumerate(chosen):
-        progress("comparing methods", i, len(chosen))
-        how: dict[str, Any] = {"seed": seed, "engine": engine, "num_samples": num_samples} | options
-        asked, path = how | made, Path(out) / "runs" / f"{label}.nc"
-        tree = posterior.load_made(path, asked)
-        if tree is None:
+    tasks: dict[str, tuple[str, dict[str, Any]]] = {}
+    for label, name, options in chosen:
+        for s in range(seed, seed + num_seeds):
+            how: dict[str, Any] = {"seed": s, "engine": engine, "num_samples": num_samples} | options
+            tasks[label if s == seed else f"{label}, seed {s}"] = name, how
+    paths = {run: Path(out) / "runs" / f"{run.replace(', seed ', '_seed_')}.nc" for run in tasks}
+    trees = {run: posterior.load_made(paths[run], how | made) for run, (_, how) in tasks.items()}
+    missing, failed = [run for run, tree in trees.items() if tree is None], {}
+    there = len(tasks) - len(missing)
+    progress("comparing methods", there, len(tasks))
+    with workers(jobs, cluster, progress) as executor:
+        draw = partial(_drawn, study, tasks, progress if isinstance(executor, Here) else _silent)
+        for done, (run, result) in enumerate(finished(executor, draw, missing), there + 1):
             try:
-                tree = fit(study, name, progress=progress, **how)
+                tree = result()
             except (MethodNotApplicable, SamplingFailed, SimulationDiverged) as error:
-                failed[label] = str(error)  # the others may run
-                continue
-            tree.attrs["asked"] = json.dumps(asked, sort_keys=True)
-            posterior.save(tree, path)
-        runs.append(Run(label, tree, _kind(name)))
-    progress("comparing methods", len(chosen), len(chosen))
+                failed[run] = str(error)  # the others may run
+            else:
+                tree.attrs["asked"] = json.dumps(tasks[run][1] | made, sort_keys=True)
+                posterior.save(tree, paths[run])
+                trees[run] = tree
+            progress("comparing methods", done, len(tasks))
+    runs = [Run(run, tree, _kind(tasks[run][0])) for run, tree in trees.items() if tree is not None]
     if not runs:
         raise MethodNotApplicable("; ".join(f"{label}: {why}" for label, why in failed.items()))
-    return compare(runs, failed=failed)
+    return compare(runs, failed={run: failed[run] for run in tasks if run in failed})
+
+
+def _drawn(
+    study: Study,
+    tasks: Mapping[str, tuple[str, dict[str, Any]]],
+    progress: Callable[[str, int, int], None],
+    run: str,
+) -> "xarray.DataTree":
+    name, how = tasks[run]
+    return fit(study, name, progress=progress, **how)
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """Progress within a task that another process does is not shown."""
 
 
 def calibrate(

@@ -1,4 +1,8 @@
-"""Inference methods by name: one module a method, each with `fit(problem, key, *, ...) -> DataTree`."""
+"""Inference methods by name: one module a method, each with `fit(problem, key, *, ...) -> DataTree`.
+
+A method that learns once and then infers from any recordings of a kind also has `train(problem, key, *, ...)`, whose
+result can be pickled, and `apply(trained, problem, key, *, num_samples, ...) -> DataTree`.
+"""
 
 from importlib import import_module
 from pkgutil import iter_modules

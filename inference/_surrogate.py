@@ -13,8 +13,10 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from numpyro.infer import MCMC, NUTS
 
 from det2stoc_bayes.inference._amortized import Iteration, Population
-from det2stoc_bayes.inference._cvae import normal
+from det2stoc_bayes.inference._cvae import Cvae, normal, standard_normal
 from det2stoc_bayes.inference._episodes import Episodes
+from det2stoc_bayes.inference._networks import Encoder
+from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.transitions import Transitions
 
@@ -39,6 +41,18 @@ class Surrogate:
         x, y = turn.simulator.scaling.standard(real)
         episodes = Episodes.of(turn.cvae, x, y, real.episode)
         return cls(problem, turn.cvae.decoder, turn.believed, episodes, turn.simulator.scaling.log_volume)
+
+    @classmethod
+    def under(
+        cls, problem: Problem, simulator: StochasticSimulator, believed: Population, real: Transitions
+    ) -> "Surrogate":
+        """Of recorded transitions, under a simulator that learned without them."""
+        decoder, scaling = simulator.decoder, simulator.scaling
+        x, y = scaling.standard(real)
+        size = len(believed.loc)
+        guessing = Encoder(x.shape[1], y.shape[1], size, jax.random.key(0))  # which draws do not ask
+        episodes = Episodes.of(Cvae(guessing, decoder, standard_normal(size), True), x, y, real.episode)
+        return cls(problem, decoder, believed, episodes, scaling.log_volume)
 
     def terms(self, z: Float[Array, " size"]) -> Float[Array, " recordings"]:
         """log density of each recording."""

@@ -5,20 +5,24 @@ psi without simulating; the exact likelihood of each draw stands beside it (`log
 says whether the posterior can be trusted, and by which `refine="psis"` corrects it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
 
-from det2stoc_bayes.inference._amortized import Iteration, Options, Population, iterate
+from det2stoc_bayes.density import Density
+from det2stoc_bayes.inference._amortized import Iteration, Options, Population, iterate, pretrain
 from det2stoc_bayes.inference._predictive import heldout_transitions, kept, predictions
 from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
 from det2stoc_bayes.inference._sampling import as_key, density_of, numpy_random, per_chain, seed_of
+from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.inference._surrogate import Surrogate
-from det2stoc_bayes.posterior import DataTree, Progress, measured, with_groups
+from det2stoc_bayes.posterior import Cost, DataTree, Progress, measured, with_groups
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.study_transitions import StudyTransitions
-from det2stoc_bayes.transitions import Transitions
+from det2stoc_bayes.transitions import Scaling, Transitions
 from det2stoc_bayes.unknowns import of_population, population_draws
 
 NUM_CHAINS = 4
@@ -51,7 +55,7 @@ def fit(
         "num_steps": num_steps,
         "refine": refine,
     }
-    each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
+    num_proposed(1, refine)  # what it may be, told before the work
     key = as_key(key)
     learn, draw, judge = jax.random.split(key, 3)
     with measured(problem) as cost:
@@ -62,25 +66,78 @@ def fit(
         for turn in _turns(transitions, real, learn, num_iterations, num_simulated, num_steps):
             turns.append(turn)
             progress(len(turns), stages)
-        z, stats = Surrogate.of(density.problem, turns[-1], real).draws(draw, NUM_CHAINS, each)
-        drawn = Weighed.of(density, z.reshape(-1, density.size), -stats["potential_energy"].reshape(-1))
+        surrogate = Surrogate.of(density.problem, turns[-1], real)
+        tree = _tree(density, surrogate, (draw, judge), num_samples, refine, options, seed_of(key), cost)
         progress(stages, stages)
-        tree = build_weighed(
-            density,
-            drawn,
-            NUM_CHAINS,
-            refine,
-            numpy_random(judge),
-            sample_stats={"diverging": stats["diverging"]},
-            method="det2stoc",
-            options=options,
-            seed=seed_of(key),
-            cost=cost,
-        )
         simulator = turns[-1].predictive
         told = predictions(simulator, transitions, heldout, judge)
     turned = _told(density.problem, turns)
     return with_groups(tree, turns=turned, predictions=told, simulator=kept(simulator, transitions))
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """The algorithm's first turn without its recordings: what learned from simulations under the prior."""
+
+    simulator: bytes  # the stochastic simulator, as `from_bytes` reads it
+    believed: Population
+    options: Mapping[str, int]
+
+
+def train(problem: Problem, key: int | jax.Array, *, num_simulated: int = 10_000, num_steps: int = 4_000) -> Trained:
+    """A decoder that serves for any values that recordings like the problem's may have: `apply` infers psi by it."""
+    simulate, learn = jax.random.split(as_key(key))
+    random = numpy_random(simulate)
+    psi = _from_prior(problem, random, num_simulated)
+    believed = Population.of(psi)
+    simulated = StudyTransitions.of(problem).simulated(psi, random)
+    scaling, z = Scaling.of(simulated), believed.standard(psi[simulated.episode])
+    decoder, _ = pretrain(simulated, z, scaling, learn, Options.decoding(num_steps), lambda *_: None)
+    learned = StochasticSimulator(decoder, scaling).to_bytes()
+    return Trained(learned, believed, {"num_simulated": num_simulated, "num_steps": num_steps})
+
+
+def apply(
+    trained: Trained, problem: Problem, key: int | jax.Array, *, num_samples: int = 1000, refine: Refine = "none"
+) -> DataTree:
+    """As `fit` with one iteration, without its learning; of other recordings than those that `train` saw."""
+    options = {"num_samples": num_samples, "num_iterations": 1, "refine": refine} | dict(trained.options)
+    num_proposed(1, refine)
+    draw, judge = jax.random.split(key := as_key(key))
+    with measured(problem) as cost:
+        density = density_of(problem)
+        real = StudyTransitions.of(density.problem).recorded()
+        simulator = StochasticSimulator.from_bytes(trained.simulator)
+        surrogate = Surrogate.under(density.problem, simulator, trained.believed, real)
+        return _tree(density, surrogate, (draw, judge), num_samples, refine, options, seed_of(key), cost)
+
+
+def _tree(
+    density: Density,
+    surrogate: Surrogate,
+    keys: tuple[jax.Array, jax.Array],
+    num_samples: int,
+    refine: Refine,
+    options: Mapping[str, Any],
+    seed: int,
+    cost: Cost,
+) -> DataTree:
+    """Draws under the learned likelihood, weighed by the exact one."""
+    each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
+    z, stats = surrogate.draws(keys[0], NUM_CHAINS, each)
+    drawn = Weighed.of(density, z.reshape(-1, density.size), -stats["potential_energy"].reshape(-1))
+    return build_weighed(
+        density,
+        drawn,
+        NUM_CHAINS,
+        refine,
+        numpy_random(keys[1]),
+        sample_stats={"diverging": stats["diverging"]},
+        method="det2stoc",
+        options=options,
+        seed=seed,
+        cost=cost,
+    )
 
 
 def _turns(
