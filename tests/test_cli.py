@@ -75,7 +75,7 @@ def test_help_lists_what_exists_and_imports_no_library():
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert shown.returncode == 0, shown.stderr
     listed = [line.split()[0] for line in shown.stdout.split("Commands:")[1].splitlines() if line.strip()]
-    assert listed == ["check", "fit", "compare", "diagnose", "reproduce", "export", "effects"]
+    assert listed == ["check", "fit", "compare", "calibrate", "diagnose", "reproduce", "export", "effects"]
 
 
 def test_check_says_what_can_be_identified(study):
@@ -155,6 +155,12 @@ def test_fit_writes_a_file_and_a_summary(study, tmp_path):
         (("fit", "nowhere"), "Missing option '--out'"),
         (("check", "nowhere", "--seed", "-1"), "--seed"),
         (("effects", "--loud"), "No such option"),
+        (("calibrate", "nowhere", "--method", "nuts", "--out", "out"), "error: nowhere: no such folder or problem;"),
+        (("calibrate", "no/where", "--method", "nuts", "--out", "out"), "error: no/where: no such folder"),
+        (("calibrate", "linear_gausian", "--method", "nuts", "--out", "out"), "did you mean 'linear_gaussian'?"),
+        (("calibrate", "linear_gaussian", "--method", "nutz", "--out", "out"), "did you mean 'nuts'?"),
+        (("calibrate", "linear_gaussian", "--method", "baseline_cvae", "--out", "out"), "infers no posterior"),
+        (("calibrate", "linear_gaussian", "--method", "nuts", "--num-replications", "5", "--out", "out"), "--num-repl"),
     ],
 )
 def test_an_error_is_clear_and_leaves_nothing(arguments, expected, tmp_path, monkeypatch):

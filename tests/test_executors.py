@@ -1,0 +1,175 @@
+"""Work that fans out: here, in spawned processes, on a Dask cluster on loopback one of whose workers is killed."""
+
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from functools import partial
+
+import pytest
+
+from det2stoc_bayes import verbs
+from det2stoc_bayes.errors import Det2StocError, SamplingFailed
+from det2stoc_bayes.executors import WorkersLost, finished, workers
+from det2stoc_bayes.models import linear_gaussian
+from det2stoc_bayes.study import load_study
+
+NUM_REPLICATIONS = 10
+
+
+def halved(number):
+    if number % 2:
+        raise SamplingFailed(f"{number} is odd")
+    return number // 2, os.getpid()
+
+
+def ending(number):
+    os._exit(number)
+
+
+def precision(_):
+    import jax
+
+    before = jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", True)
+    return before
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_results_and_errors_come_back(jobs):
+    with workers(jobs) as executor:
+        found = dict(finished(executor, halved, range(4)))
+        assert found[2]()[0] == 1 and (found[2]()[1] == os.getpid()) == (jobs == 1)
+        with pytest.raises(SamplingFailed, match="3 is odd"):
+            found[3]()
+
+
+def test_a_task_does_not_see_what_another_one_set():
+    with workers(1) as executor:
+        assert [result() for _, result in finished(executor, precision, range(2))] == [False, False]
+
+
+def test_a_process_that_ends_is_an_error_and_no_traceback():
+    with pytest.raises(WorkersLost, match="a worker process ended before its work"), workers(2) as executor:
+        for _, result in finished(executor, ending, [3]):
+            result()
+
+
+def test_stopping_early_ends_the_processes():
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), workers(2) as executor:
+        for _ in finished(executor, time.sleep, [0, 60, 60, 60]):
+            raise KeyboardInterrupt
+    assert time.monotonic() - began < 30
+
+
+@pytest.fixture
+def silent():
+    """A server that does not speak first, as those of the web."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("localhost:8786", "found 'localhost:8786'; allowed: a Dask scheduler's address, as tcp://HOST:8786"),
+        ("http://localhost:8786", "allowed: a Dask scheduler's address"),
+        ("tcp://127.0.0.1:1", "no Dask scheduler answers there .*refused"),
+        ("tcp://127.0.0.1:99999", "a port is at most 65535"),
+    ],
+)
+def test_a_wrong_address_is_told_quickly(address, said):
+    began = time.monotonic()
+    with pytest.raises(Det2StocError, match=said), workers(cluster=address):
+        pass
+    assert time.monotonic() - began < 20
+
+
+def test_another_server_is_no_scheduler(silent):
+    with pytest.raises(Det2StocError, match=r"no Dask scheduler answers there \(timed out\)"), workers(cluster=silent):
+        pass
+
+
+def test_without_dask_the_error_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(Det2StocError, match=r"pip install 'det2stoc-bayes\[cluster\]'"):
+        with workers(cluster="tcp://127.0.0.1:1"):
+            pass
+
+
+class Cluster:
+    """`dask scheduler` and two `dask worker` processes on loopback."""
+
+    def __init__(self):
+        self.processes = []
+        scheduler = self._start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", stderr=subprocess.PIPE)
+        for line in scheduler.stderr:
+            if found := re.search(r"tcp://127\.0\.0\.1:\d+", line):
+                self.address = found[0]
+                break
+        threading.Thread(target=scheduler.stderr.read, daemon=True).start()
+        for _ in range(2):
+            self._start("dask_worker", self.address, "--no-nanny", stderr=subprocess.DEVNULL)
+
+    def _start(self, program, *arguments, **streams):
+        line = [sys.executable, "-m", f"distributed.cli.{program}", *arguments, "--no-dashboard"]
+        self.processes.append(subprocess.Popen(line, stdout=subprocess.DEVNULL, text=True, **streams))
+        return self.processes[-1]
+
+    def kill_a_worker(self):
+        self.processes[1].kill()
+
+    def end(self):
+        for process in reversed(self.processes):
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    made = Cluster()
+    yield made
+    made.end()
+
+
+def lines(out):
+    """Replications by index, without what they took."""
+    every = [json.loads(line) for line in (out / "replications.jsonl").read_text().splitlines()]
+    return {line["index"]: {k: v for k, v in line.items() if k != "seconds"} for line in every}
+
+
+def test_a_cluster_with_a_worker_killed_in_the_middle_finds_the_same(cluster, tmp_path):
+    calibrate = partial(verbs.calibrate, "linear_gaussian", "laplace", num_replications=NUM_REPLICATIONS, seed=4)
+    seen = []
+
+    def watch(stage, done, total):
+        seen.append((stage, done))
+        if (stage, done) == ("calibrating", 3):
+            cluster.kill_a_worker()
+
+    on_cluster = calibrate(tmp_path / "cluster", cluster=cluster.address, progress=watch)
+    assert cluster.processes[1].wait(timeout=20) != 0 and cluster.processes[2].poll() is None
+    here = calibrate(tmp_path / "here", jobs=2)
+    assert [done for stage, done in seen if stage == "calibrating"] == list(range(NUM_REPLICATIONS + 1))
+    assert lines(tmp_path / "cluster") == lines(tmp_path / "here") and len(lines(tmp_path / "here")) == NUM_REPLICATIONS
+    assert (on_cluster.unknowns, on_cluster.p_tarp) == (here.unknowns, here.p_tarp)
+
+
+def test_methods_and_seeds_are_compared_on_a_cluster_as_here(cluster, tmp_path):
+    study = load_study(linear_gaussian.write_study(tmp_path / "slides", (0.3, -0.1), seed=1))
+    options = {"num_samples": 200, "num_seeds": 2}
+    there = verbs.compare(study, ["laplace", "prior"], tmp_path / "there", cluster=cluster.address, **options)
+    here = verbs.compare(study, ["laplace", "prior"], tmp_path / "here", **options)
+    assert [row.label for row in there.rows] == ["laplace", "laplace, seed 1", "prior", "prior, seed 1"]
+    for one, other in zip(there.runs, here.runs, strict=True):
+        for group in ("posterior", "sample_stats", "log_likelihood"):
+            assert one.tree[group].identical(other.tree[group])
+    assert not (there.runs[0].draws == there.runs[1].draws).all()
+    assert sorted(p.name for p in (tmp_path / "there" / "runs").iterdir()) == [
+        "laplace.nc", "laplace_seed_1.nc", "prior.nc", "prior_seed_1.nc",
+    ]  # fmt: skip
