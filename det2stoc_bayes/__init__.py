@@ -1,8 +1,9 @@
 """Posteriors over simulator parameters, and the physics that a simulator leaves out.
 
 `load(folder)` reads a study, `check(study)` says what its recordings can identify, `fit(study)` gives the
-posterior, `compare(study, methods, folder)` several beside each other, `export(study, posterior, folder,
-num_draws=100)` writes models with draws of one, `diagnose(study)` finds what the believed model leaves out.
+posterior, `compare(study, methods, folder)` several beside each other, `calibrate(problem, method, folder)` tests
+whether a method's hold the truth, `export(study, posterior, folder, num_draws=100)` writes models with draws of one,
+`diagnose(study)` finds what the believed model leaves out.
 `learned_simulator(posterior)` is the `StochasticSimulator` that an amortized method learned; `StochasticEnv` makes a
 Gymnasium environment of it. Every error that a user can act on is a `Det2StocError`.
 """
@@ -25,12 +26,13 @@ if TYPE_CHECKING:
     from det2stoc_bayes.inference._stochastic import StochasticSimulator
     from det2stoc_bayes.randomization import export
     from det2stoc_bayes.study import load_study as load
-    from det2stoc_bayes.verbs import compare, diagnose, fit, learned_simulator
+    from det2stoc_bayes.verbs import calibrate, compare, diagnose, fit, learned_simulator
 
 # Looked up at first use, so that `import det2stoc_bayes` and `det2stoc --help` wait for no library.
 _LAZY = {
     "StochasticEnv": "det2stoc_bayes.inference._environment:StochasticEnv",
     "StochasticSimulator": "det2stoc_bayes.inference._stochastic:StochasticSimulator",
+    "calibrate": "det2stoc_bayes.verbs:calibrate",
     "check": "det2stoc_bayes.identifiability:check",
     "compare": "det2stoc_bayes.verbs:compare",
     "diagnose": "det2stoc_bayes.verbs:diagnose",
@@ -49,6 +51,7 @@ __all__ = [
     "StochasticEnv",
     "StochasticSimulator",
     "StudyError",
+    "calibrate",
     "check",
     "compare",
     "diagnose",

@@ -21,6 +21,7 @@ from det2stoc_bayes.errors import Det2StocError, SamplingFailed, SimulationDiver
 from det2stoc_bayes.executors import finished
 from det2stoc_bayes.files import appending
 from det2stoc_bayes.posterior import DataTree
+from det2stoc_bayes.psis import thinned
 
 NUM_DRAWS = 99  # that a truth is ranked among: 100 ranks
 MOST_TIMES = 8  # the draws of a fit are drawn again for, lest they be correlated
@@ -73,7 +74,7 @@ class Experiment:
             raise Det2StocError(f"{tree.attrs['method']}: infers none of {', '.join(truth)}; allowed: another method")
         draws = np.asarray(data.sel(unknown=names).values, float).reshape(-1, len(names))
         told = {"simulations": int(tree.attrs["simulations"]), "seconds": float(tree.attrs["seconds_run"])}
-        kept = [[round(v, DIGITS) for v in row] for row in thinned(draws).tolist()]
+        kept = [[round(v, DIGITS) for v in row] for row in thinned(draws, NUM_DRAWS).tolist()]
         return Replication(index, {n: truth[n] for n in names}, kept, effective, **told)
 
     def _enough(self, problem: Any, key: int) -> tuple[DataTree, float]:
@@ -93,11 +94,6 @@ def _effective(tree: DataTree) -> float:
     from det2stoc_bayes.report.summary import summarize  # ArviZ's stand-in for numpyro must not come before numpyro
 
     return min((0.0 if row.ess is None else row.ess for row in summarize(tree)), default=0.0)
-
-
-def thinned(draws: Float[np.ndarray, "draws size"]) -> Float[np.ndarray, "kept size"]:
-    """NUM_DRAWS evenly spread ones, or all where there are fewer."""
-    return draws[np.linspace(0, len(draws) - 1, min(len(draws), NUM_DRAWS)).round().astype(int)]
 
 
 def run(

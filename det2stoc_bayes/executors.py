@@ -119,8 +119,7 @@ def _result(future: Future) -> Any:
 
 def _alone[Item, Result](function: Callable[[Item], Result], item: Item) -> Result:
     """A task as in a new process, whatever ran in this one before."""
-    with _ALONE, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _ALONE:
         jax = sys.modules.get("jax")
         if jax is None:
             return function(item)
@@ -133,7 +132,8 @@ def _alone[Item, Result](function: Callable[[Item], Result], item: Item) -> Resu
 
 
 def _begin() -> None:
-    """A spawned worker: one thread, the caller handles Ctrl-C, and it ends with the caller, however that ends."""
+    """A spawned worker: silent, one thread, Ctrl-C is the caller's, and it ends with the caller, however that ends."""
+    warnings.simplefilter("ignore")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")

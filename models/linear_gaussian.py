@@ -9,15 +9,13 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.files import atomic_write
-from det2stoc_bayes.problem import Problem, make_problem
-from det2stoc_bayes.simulator import Simulator
-from det2stoc_bayes.study import load_study
+from det2stoc_bayes.models._recorded import posed
+from det2stoc_bayes.problem import Problem
 
 MODEL = Path(__file__).with_suffix(".xml")
 AXES = np.array([[0.8, 0.6], [-0.6, 0.8]])  # x and z of the slides' directions
@@ -81,9 +79,7 @@ def write_study(folder: Path, gravity: Sequence[float], *, seed: int = 0, settin
 
 def pose(*, engine: str = "c", num_threads: int = 0) -> Problem:
     """The problem of recordings under one gravity."""
-    with TemporaryDirectory() as folder:
-        study = load_study(write_study(Path(folder) / "linear_gaussian", GRAVITY, seed=1))
-        return make_problem(Simulator(study, engine, num_threads))
+    return posed("linear_gaussian", lambda folder: write_study(folder, GRAVITY, seed=1), engine, num_threads)
 
 
 def with_recordings(problem: Problem, recordings: Sequence[Float[np.ndarray, "samples 2"]]) -> Problem:

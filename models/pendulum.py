@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from det2stoc_bayes.models._recorded import Psi, Recorded
+from det2stoc_bayes.problem import Problem
 
 SYSTEM = Recorded(
     model=Path(__file__).with_suffix(".xml"),
@@ -17,3 +18,8 @@ SYSTEM = Recorded(
     num_samples=40,
 )
 TRUTH = {"damping": 0.08, "gain": 0.9}
+
+
+def pose(*, engine: str = "c", num_threads: int = 0) -> Problem:
+    """The problem of recordings under TRUTH."""
+    return SYSTEM.pose(TRUTH, engine, num_threads)

@@ -176,6 +176,8 @@ def test_what_fails_is_a_line_as_well(tmp_path):
 
 
 def test_problems_go_by_their_modules_names():
-    assert "linear_gaussian" in problems() and "windy_slope" not in problems()
+    assert {"cartpole", "linear_gaussian", "pendulum"} <= set(problems()) and "windy_slope" not in problems()
+    for name in problems():
+        assert get_problem(name, num_threads=1).simulator.study.name == name
     with pytest.raises(Det2StocError, match="unknown problem 'linear_gausian'; did you mean 'linear_gaussian'"):
         get_problem("linear_gausian")

@@ -97,9 +97,9 @@ def test_another_server_is_no_scheduler(silent):
 
 def test_without_dask_the_error_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(Det2StocError, match=r"pip install 'det2stoc-bayes\[cluster\]'"):
-        with workers(cluster="tcp://127.0.0.1:1"):
-            pass
+    said = r"pip install 'det2stoc-bayes\[cluster\]'"
+    with pytest.raises(Det2StocError, match=said), workers(cluster="tcp://127.0.0.1:1"):
+        pass
 
 
 class Cluster:

@@ -25,7 +25,11 @@ def replications():
 
 def test_a_replications_posterior_is_the_closed_form(replications):
     for problem in replications:
-        z = get_method("laplace").fit(problem, 1, num_samples=4000)["unconstrained_posterior"]["z"].values.reshape(-1, 2)
+        z = (
+            get_method("laplace")
+            .fit(problem, 1, num_samples=4000)["unconstrained_posterior"]["z"]
+            .values.reshape(-1, 2)
+        )
         mean, covariance = linear_gaussian.exact_posterior(problem)
         setting = linear_gaussian.SETTING
         sd = np.sqrt(np.diag(covariance)) / setting.prior_sd
