@@ -7,12 +7,13 @@ from det2stoc_bayes.posterior import DataTree
 from det2stoc_bayes.psis import reliable, smooth
 
 LEAST_WEIGHED = 100  # draws: the tail of fewer weights says nothing
+SURPRISING = 0.01  # p-value of recordings among simulations
 ALARM = 0.5  # probability that psi lies beyond what was simulated
 
 
 def doubts(tree: DataTree) -> list[str]:
     """All that there are."""
-    return [doubt for doubt in (misfit(tree), beyond_prior(tree), unreliable(tree)) if doubt]
+    return [doubt for doubt in (misfit(tree), surprising(tree), beyond_prior(tree), unreliable(tree)) if doubt]
 
 
 def misfit(tree: DataTree) -> str:
@@ -23,6 +24,21 @@ def misfit(tree: DataTree) -> str:
     return (
         f"the model's squared misfit of the recordings is {inflation:.3g} times what their noise explains: intervals "
         "hold only if the model is right, and this speaks against it; `det2stoc diagnose` looks for what it leaves out"
+    )
+
+
+def surprising(tree: DataTree) -> str:
+    """That recordings are unlike all that an amortized method learned from, in a sentence; empty where they are not."""
+    if "surprise" not in tree.children:
+        return ""
+    told = tree["surprise"].to_dataset()
+    if not (p := float(told["p_value"])) < SURPRISING:
+        return ""
+    here, usual = float(told["recorded"]), told["simulated"].values
+    return (
+        f"the recordings are unlike the simulations that were learned from (p = {p:.2g}): their surprise is {here:.3g} "
+        f"nat a transition, that of simulations {usual.mean():.3g} +- {usual.std(ddof=1):.2g}; whatever psi is found "
+        "is that of a model that does not move so"
     )
 
 

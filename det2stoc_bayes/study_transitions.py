@@ -95,6 +95,12 @@ class StudyTransitions:
             )
         return found
 
+    def recorded_by_stretch(self) -> Transitions:
+        """The same of the problem's own recordings, as far as stretches tell; episodes count the stretches."""
+        segments = self.stretches
+        each = np.arange(segments.count)
+        return self._rows(segments, segments.values, each, each)
+
     @cached_property
     def stretches(self) -> Segments:
         """The recordings cut where simulations start."""

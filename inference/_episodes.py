@@ -58,7 +58,7 @@ class Episodes:
         guess, _ = self.amortized()
         given = (self.x, self.y, self.weight)
         (one, z, fisher), (other, z_other, fisher_other) = (
-            _summits(self.cvae.decoder, start, *given) for start in (guess, jnp.zeros_like(guess))
+            summits(self.cvae.decoder, start, *given) for start in (guess, jnp.zeros_like(guess))
         )
         first = one >= other
         z = jnp.where(first[:, None], z, z_other)
@@ -98,8 +98,8 @@ def _fisher(decoder: Callable[..., Any], z: Array, x: Array, weight: Array) -> F
 
 
 @eqx.filter_jit
-def _summits(
-    decoder: Callable[..., Any], start: Array, x: Array, y: Array, weight: Array
+def summits(
+    decoder: Callable[..., Any], start: Array, x: Array, y: Array, weight: Array, steps: int = STEPS
 ) -> tuple[Array, Array, Array]:
     """Height, place and information of each episode's summit, climbed from a start."""
 
@@ -112,7 +112,7 @@ def _summits(
             best = jnp.argmax(jnp.where(jnp.isfinite(values), values, -jnp.inf))
             return jnp.where(values[best] > value, tried[best], z), None
 
-        z, _ = jax.lax.scan(step, z, None, length=STEPS)
+        z, _ = jax.lax.scan(step, z, None, length=steps)
         return log_joint(decoder, z, x, y, weight), z, _fisher(decoder, z, x, weight)
 
     return jax.vmap(one)(start, x, y, weight)

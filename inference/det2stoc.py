@@ -18,6 +18,7 @@ from det2stoc_bayes.inference._predictive import heldout_transitions, kept, pred
 from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
 from det2stoc_bayes.inference._sampling import as_key, density_of, numpy_random, per_chain, seed_of
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
+from det2stoc_bayes.inference._surprise import surprise
 from det2stoc_bayes.inference._surrogate import Surrogate
 from det2stoc_bayes.posterior import Cost, DataTree, Progress, measured, with_groups
 from det2stoc_bayes.problem import Problem
@@ -43,9 +44,10 @@ def fit(
 ) -> DataTree:
     """Draws of psi under the learned likelihood; group `turns`: what each turn of the algorithm inferred.
 
-    Group `simulator`: the stochastic simulator of the last turn (`learned_simulator` reads it).
+    Groups `simulator`: the stochastic simulator of the last turn (`learned_simulator` reads it); `surprise`: whether
+    the recordings lie among the simulations.
 
-    `num_simulated` stretches of recordings are simulated a turn, `num_steps` steps train a turn's decoder. `refine`:
+    `num_simulated` stretches of recordings are simulated a turn, `num_steps` steps train its decoder. `refine`:
     "psis" resamples by the exact likelihood.
     """
     options = {
@@ -71,8 +73,9 @@ def fit(
         progress(stages, stages)
         simulator = turns[-1].predictive
         told = predictions(simulator, transitions, heldout, judge)
-    turned = _told(density.problem, turns)
-    return with_groups(tree, turns=turned, predictions=told, simulator=kept(simulator, transitions))
+        unlike = surprise(turns[-1], transitions, numpy_random(judge))
+    groups = {"turns": _told(density.problem, turns), "surprise": unlike.told(), "predictions": told}
+    return with_groups(tree, **groups, simulator=kept(simulator, transitions))
 
 
 @dataclass(frozen=True, eq=False)
