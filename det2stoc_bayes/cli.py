@@ -31,6 +31,9 @@ app = typer.Typer(
 )
 
 StudyFolder = Annotated[Path, typer.Argument(metavar="STUDY", help="The study's folder.", show_default=False)]
+StudyOrProblem = Annotated[
+    str, typer.Argument(metavar="STUDY|PROBLEM", help="A study's folder, or a problem's name.", show_default=False)
+]
 Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Everything random follows from it.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
 Cluster = Annotated[str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler, as tcp://HOST:8786.")]
@@ -94,7 +97,7 @@ def fit(
 
 @app.command()
 def compare(
-    study: StudyFolder,
+    problem: StudyOrProblem,
     methods: Annotated[
         str, typer.Option(metavar="A,B,...", help="Inference methods; svi+psis for a refined one.", show_default=False)
     ],
@@ -119,20 +122,19 @@ def compare(
         asked = [name.strip() for name in methods.split(",") if name.strip()]
         options = {"seed": seed, "num_seeds": num_seeds, "engine": engine, "num_samples": num_samples}
         options |= {"jobs": jobs, "cluster": cluster, "progress": stages}
-        believed = _load(study)
+        believed = _study_or_problem(problem)
+        name = believed if isinstance(believed, str) else believed.name
         found = verbs.compare(believed, asked, out, **options)
         told = plain(tables.compare_json(found))
-        page = compare_page(found, name=believed.name, doubts=misfits(found))
+        page = compare_page(found, name=name, doubts=misfits(found))
         atomic_write(out / "report.html", page)
         atomic_write(out / "comparison.json", json.dumps(told, indent=2))
-    show_report(told if as_json else tables.compare_table(found, believed.name), out, as_json)
+    show_report(told if as_json else tables.compare_table(found, name), out, as_json)
 
 
 @app.command()
 def calibrate(
-    problem: Annotated[
-        str, typer.Argument(metavar="STUDY|PROBLEM", help="A study's folder, or a problem's name.", show_default=False)
-    ],
+    problem: StudyOrProblem,
     method: Annotated[
         str, typer.Option(metavar="NAME", help="An inference method; svi+psis for a refined one.", show_default=False)
     ],

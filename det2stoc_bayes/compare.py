@@ -62,6 +62,14 @@ class Reference:
     contradicting: tuple[str, ...] = ()
 
 
+def known_reference(
+    mean: Float[np.ndarray, " size"], covariance: Float[np.ndarray, "size size"], unknowns: tuple[str, ...], seed: int
+) -> Reference:
+    """A posterior that is known in closed form, with draws of it."""
+    draws = np.random.default_rng(seed).multivariate_normal(mean, covariance, MOST_DRAWS)
+    return Reference("the closed form", draws, unknowns, (mean, covariance))
+
+
 @dataclass(frozen=True)
 class Row:
     """What is known of one run; None where it does not apply."""

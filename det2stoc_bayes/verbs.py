@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import xarray
 
     from det2stoc_bayes.calibration import Calibration, Replicate
-    from det2stoc_bayes.compare import Comparison, Kind
+    from det2stoc_bayes.compare import Comparison, Kind, Reference
     from det2stoc_bayes.engines.base import Start
     from det2stoc_bayes.inference._stochastic import StochasticSimulator
     from det2stoc_bayes.mismatch.diagnose import Diagnosis
@@ -53,7 +53,7 @@ def fit(
 
 
 def compare(
-    study: Study,
+    problem: Study | str,
     methods: Sequence[str],
     out: str | os.PathLike[str],
     *,
@@ -65,7 +65,9 @@ def compare(
     cluster: str | None = None,
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> "Comparison":
-    """Posteriors of several methods, `svi+psis` for a refined one: those that `out` holds are not drawn again.
+    """Posteriors of several methods, `svi+psis` for a refined one, of a study or a problem of `models`.
+
+    Those that `out` holds are not drawn again; a problem's recordings are written there, too.
 
     `out/runs` gets one .nc a method and seed (from `seed` on), each as soon as it is done, by `jobs` processes (1: this
     one, 0: one a core) or the workers of the Dask scheduler `cluster`.
@@ -78,6 +80,7 @@ def compare(
     if not methods:
         raise MethodNotApplicable(f"--methods: none is named; allowed: some of {listing(METHODS)}, separated by commas")
     chosen = [_method(label) for label in dict.fromkeys(methods)]
+    study, reference = (problem, None) if isinstance(problem, Study) else _known(problem, Path(out), seed)
     made = {"content": Simulator(study).fingerprint, "version": version("det2stoc-bayes")}
     tasks: dict[str, tuple[str, dict[str, Any]]] = {}
     for label, name, options in chosen:
@@ -104,7 +107,19 @@ def compare(
     runs = [Run(run, tree, _kind(tasks[run][0])) for run, tree in trees.items() if tree is not None]
     if not runs:
         raise MethodNotApplicable("; ".join(f"{label}: {why}" for label, why in failed.items()))
-    return compare(runs, failed={run: failed[run] for run in tasks if run in failed})
+    return compare(runs, reference, failed={run: failed[run] for run in tasks if run in failed})
+
+
+def _known(name: str, out: Path, seed: int) -> "tuple[Study, Reference | None]":
+    """A problem of `models`, written as a study, and its posterior where that is known."""
+    from det2stoc_bayes.compare import known_reference
+    from det2stoc_bayes.models import closed_form, record
+    from det2stoc_bayes.study import load_study
+
+    study = load_study(record(name, out / name))
+    posed = make_problem(Simulator(study))
+    exact = closed_form(name, posed)
+    return study, None if exact is None else known_reference(*exact, posed.names, seed)
 
 
 def _drawn(

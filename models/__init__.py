@@ -1,30 +1,55 @@
-"""Systems by name: one module a system; those that pose an inference problem have `pose(*, engine, num_threads)`."""
+"""Systems by name: one module a system; those that pose an inference problem have `record(folder)`.
+
+It writes the problem as a study's folder. A module whose posterior is known has `closed_form(problem)`, too.
+"""
 
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import iter_modules
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.suggestions import choices
 
 if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float
+
     from det2stoc_bayes.problem import Problem
+
+    type Gaussian = tuple[Float[np.ndarray, " size"], Float[np.ndarray, "size size"]]
 
 MODELS: tuple[str, ...] = tuple(sorted(m.name for m in iter_modules(__path__) if not m.name.startswith("_")))
 
 
 def problems() -> tuple[str, ...]:
     """Names of the modules that pose a problem, none of which is imported for it."""
-    return tuple(name for name in MODELS if "\ndef pose(" in _source(name))
+    return tuple(name for name in MODELS if "\ndef record(" in _source(name))
+
+
+def record(name: str, folder: Path) -> Path:
+    """A system's own problem as a study in a folder; a Det2StocError lists the problems where none has this name."""
+    if name not in (known := problems()):
+        raise Det2StocError(f"problem: unknown problem '{name}'; {choices(name, known, limit=20)}")
+    return import_module(f"{__name__}.{name}").record(folder)
 
 
 def get_problem(name: str, *, engine: str = "c", num_threads: int = 0) -> "Problem":
-    """A system's own problem; a Det2StocError lists the problems where none has this name."""
-    if name not in (known := problems()):
-        raise Det2StocError(f"problem: unknown problem '{name}'; {choices(name, known, limit=20)}")
-    return import_module(f"{__name__}.{name}").pose(engine=engine, num_threads=num_threads)
+    """The same as a problem, without a folder that stays."""
+    from det2stoc_bayes.problem import make_problem
+    from det2stoc_bayes.simulator import Simulator
+    from det2stoc_bayes.study import load_study
+
+    with TemporaryDirectory() as folder:
+        return make_problem(Simulator(load_study(record(name, Path(folder) / name)), engine, num_threads))
+
+
+def closed_form(name: str, problem: "Problem") -> "Gaussian | None":
+    """Mean and covariance of the unknowns' posterior where it is a Gaussian that is known; None of other problems."""
+    found = getattr(import_module(f"{__name__}.{name}"), "closed_form", None)
+    return None if found is None else found(problem)
 
 
 def _source(name: str) -> str:

@@ -1,19 +1,15 @@
 """Studies of MJCF models that are recorded in simulation under a known psi: command, trajectory, noise, files."""
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.files import atomic_write
-from det2stoc_bayes.problem import Problem, make_problem
-from det2stoc_bayes.simulator import Simulator
-from det2stoc_bayes.study import load_study
 
 FREQUENCIES = (0.3, 1.5)  # of a command's sines [Hz]
 NUM_SINES = 3
@@ -96,10 +92,6 @@ class Recorded:
             atomic_write(folder / "recordings" / f"run_{r + 1}.csv", "\n".join([head, *lines, ""]))
         return folder
 
-    def pose(self, values: Mapping[str, float], engine: str, num_threads: int) -> Problem:
-        """The problem of recordings simulated under `values`."""
-        return posed(self.model.stem, lambda folder: self.write_study(folder, values), engine, num_threads)
-
     def _record(
         self, model: mujoco.MjModel, random: np.random.Generator
     ) -> tuple[
@@ -118,10 +110,3 @@ class Recorded:
             for _ in range(self.steps_per_sample):
                 mujoco.mj_step(model, data)
         return time, np.stack(states), np.repeat(command, model.nu, 1)
-
-
-def posed(name: str, write: Callable[[Path], Path], engine: str, num_threads: int) -> Problem:
-    """The problem of a study that `write` puts into a folder, which is gone afterwards."""
-    with TemporaryDirectory() as folder:
-        study = load_study(write(Path(folder) / name))
-        return make_problem(Simulator(study, engine, num_threads))

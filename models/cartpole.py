@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from det2stoc_bayes.models._recorded import Psi, Recorded
-from det2stoc_bayes.problem import Problem
 
 SYSTEM = Recorded(
     model=Path(__file__).with_suffix(".xml"),
@@ -21,6 +20,6 @@ SYSTEM = Recorded(
 TRUTH = {"pole_mass": 0.38, "swing_damping": 0.014, "gain": 1.1}
 
 
-def pose(*, engine: str = "c", num_threads: int = 0) -> Problem:
-    """The problem of recordings under TRUTH."""
-    return SYSTEM.pose(TRUTH, engine, num_threads)
+def record(folder: Path) -> Path:
+    """A study of recordings under TRUTH."""
+    return SYSTEM.write_study(folder, TRUTH)

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.files import atomic_write
-from det2stoc_bayes.models._recorded import posed
 from det2stoc_bayes.problem import Problem
 
 MODEL = Path(__file__).with_suffix(".xml")
@@ -77,9 +76,9 @@ def write_study(folder: Path, gravity: Sequence[float], *, seed: int = 0, settin
     return folder
 
 
-def pose(*, engine: str = "c", num_threads: int = 0) -> Problem:
-    """The problem of recordings under one gravity."""
-    return posed("linear_gaussian", lambda folder: write_study(folder, GRAVITY, seed=1), engine, num_threads)
+def record(folder: Path) -> Path:
+    """A study of recordings under one gravity."""
+    return write_study(folder, GRAVITY, seed=1)
 
 
 def with_recordings(problem: Problem, recordings: Sequence[Float[np.ndarray, "samples 2"]]) -> Problem:
@@ -110,3 +109,10 @@ def exact_posterior(
             shift = shift + weighted.T @ (segments.values[s, :, axis] - expected)
     covariance = np.linalg.inv(precision)
     return covariance @ shift, covariance
+
+
+def closed_form(problem: Problem) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "2 2"]]:
+    """The same of the unknowns, which are gravity in units of its prior."""
+    mean, covariance = exact_posterior(problem)
+    sd = np.asarray(SETTING.prior_sd)
+    return (mean - np.asarray(SETTING.prior_mean)) / sd, covariance / np.outer(sd, sd)

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from det2stoc_bayes.models._recorded import Psi, Recorded
-from det2stoc_bayes.problem import Problem
 
 SYSTEM = Recorded(
     model=Path(__file__).with_suffix(".xml"),
@@ -20,6 +19,6 @@ SYSTEM = Recorded(
 TRUTH = {"damping": 0.08, "gain": 0.9}
 
 
-def pose(*, engine: str = "c", num_threads: int = 0) -> Problem:
-    """The problem of recordings under TRUTH."""
-    return SYSTEM.pose(TRUTH, engine, num_threads)
+def record(folder: Path) -> Path:
+    """A study of recordings under TRUTH."""
+    return SYSTEM.write_study(folder, TRUTH)
