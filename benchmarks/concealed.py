@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from det2stoc_bayes.blind.conceal import ConcealedCase, make_case
+from det2stoc_bayes.blind.laws import LAWS
 from det2stoc_bayes.blind.score import CaseScore, label, score
 from det2stoc_bayes.blind.summary import Row, markdown
 from det2stoc_bayes.blind.systems import SYSTEMS
@@ -30,6 +31,7 @@ from det2stoc_bayes.blind.variants import possible
 LOG = Path(__file__).parent / "results" / "concealed.jsonl"
 KINDS = ("effect", "pair", "control")
 MOST_VARIANTS = 2  # at once
+MOST_DRAWS = 100
 
 
 def revision() -> str:
@@ -39,25 +41,29 @@ def revision() -> str:
 
 @dataclass(frozen=True)
 class Choice:
-    """From which systems cases are drawn, and whether all of them are free of variants."""
+    """From which systems cases are drawn, whether all are free of variants, and what they conceal (in turn)."""
 
     systems: tuple[str, ...] = tuple(SYSTEMS)
     plain: bool = False
+    names: tuple[str, ...] = ()
 
 
 def draw_case(seed: str, kind: str, index: int, choice: Choice) -> ConcealedCase:
     """Case `index` of a kind; half of all have one or two variants. What cannot be concealed is drawn again."""
     rng = np.random.default_rng([int(seed, 16), KINDS.index(kind), index])
-    while True:
+    effect = choice.names[index % len(choice.names)] if choice.names and kind == "effect" else None
+    for _ in range(MOST_DRAWS):
         system = choice.systems[rng.integers(len(choice.systems))]
         options = possible(SYSTEMS[system])
         count = int(rng.integers(1, MOST_VARIANTS + 1)) if rng.uniform() < 0.5 and not choice.plain else 0
         variants = tuple(sorted(rng.choice(options, count, replace=False).tolist()))
         number = int(rng.integers(2**31))
         try:
-            return make_case(number, system=system, variants=variants, pair=kind == "pair", control=kind == "control")
+            more = {"pair": kind == "pair", "control": kind == "control"}
+            return make_case(number, system=system, effect=effect, variants=variants, **more)
         except ValueError:
             continue
+    raise ValueError(f"{effect or 'an effect'}: concealed in none of {MOST_DRAWS} drawn systems")
 
 
 def diagnosed(case: ConcealedCase) -> tuple[dict[str, Any], float, float]:
@@ -165,6 +171,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
     parser.add_argument("--systems", nargs="+", choices=tuple(SYSTEMS), default=tuple(SYSTEMS), metavar="SYSTEM")
     parser.add_argument("--plain", action="store_true", help="no variants: states recorded evenly, noise told")
+    parser.add_argument("--effects-named", nargs="+", choices=tuple(LAWS), default=(), metavar="EFFECT")
     a = parser.parse_args()
     commit = revision()
     seed = a.seed or commit[:8]
@@ -176,7 +183,7 @@ def main() -> int:
         parser.error("counts are not negative, and --jobs is at least 1")
     counts = {"effect": a.effects, "pair": a.pairs, "control": a.controls}
     try:
-        rows = run(seed, counts, commit, a.jobs, Choice(tuple(a.systems), a.plain))
+        rows = run(seed, counts, commit, a.jobs, Choice(tuple(a.systems), a.plain, tuple(a.effects_named)))
     except KeyboardInterrupt:
         print("interrupted; the same command goes on from here", file=sys.stderr)
         return 130

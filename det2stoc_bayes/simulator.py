@@ -106,9 +106,10 @@ class Simulator:
             return elements.world_elements(self.model, varied)
         if kind == "sensor":
             return elements.sensor_elements(self.model, columns)
-        of_kind = {"joint": elements.joint_elements, "actuator": elements.actuator_elements}
-        if kind in of_kind:
-            return of_kind[kind](self.model)
+        if kind == "joint":
+            return elements.joint_elements(self.model, _reached(self.study))
+        if kind == "actuator":
+            return elements.actuator_elements(self.model)
         return [Element("simulator", "option")] if kind == "simulator" else []
 
     @property
@@ -116,6 +117,17 @@ class Simulator:
         """Bodies with a geom whose size is known to differ between recordings."""
         places = (place for a in self._known.values() if a.field == "geom_size" for place in a.places)
         return frozenset(int(self.model.geom_bodyid[place[0]]) for place in places)
+
+
+def _reached(study: Study) -> dict[str, tuple[float, float]]:
+    """The least and the largest recorded position of each column of one, by what it is named after."""
+    found: dict[str, tuple[float, float]] = {}
+    for record in study.recordings:
+        for name, values in zip(record.columns, record.values.T, strict=True):
+            if name.startswith("qpos/") and np.isfinite(values).any():
+                low, high = found.get(name[5:], (np.inf, -np.inf))
+                found[name[5:]] = min(low, float(np.nanmin(values))), max(high, float(np.nanmax(values)))
+    return found
 
 
 def _make_engine(model: mujoco.MjModel, name: str, num_threads: int) -> Engine:

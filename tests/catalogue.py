@@ -21,6 +21,7 @@ VALUES: dict[str, dict] = {
     "Armature": {"inertia": 0.05},
     "CoggingTorque": {"amplitude": 0.3, "cycles": 9.0, "phase": 0.4},
     "PeriodicForce": {"amplitude": 0.4, "frequency": 2.5, "phase": 0.4},
+    "HardStop": {"position": 0.25},
     "LinearDrag": {"coefficient": 0.6},
     "QuadraticDrag": {"coefficient": 0.6},
     "SizedDrag": {"drag_coefficient": 20.0},

@@ -1,6 +1,7 @@
 """The elements of a compiled model that effects can sit on."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from det2stoc_bayes.engines.layout import HINGE, SLIDE, column_address
 from det2stoc_bayes.mismatch.effects.base import Element
 
+EMPTY: Mapping = MappingProxyType({})
 _TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
@@ -22,16 +24,20 @@ _DYNAMICS = tuple(
 )
 
 
-def joint_elements(model: mujoco.MjModel) -> list[Element]:
-    """Named hinge and slide joints; driven where all actuators on them have a law that is known in closed form."""
+def joint_elements(model: mujoco.MjModel, reached: Mapping[str, tuple[float, float]] = EMPTY) -> list[Element]:
+    """Named hinge and slide joints; driven where all actuators on them have a law that is known in closed form.
+
+    `reached`: the least and the largest position of joints that were recorded.
+    """
     found = []
     for j in range(model.njnt):
         joint = model.joint(j)
         if joint.name and int(model.jnt_type[j]) in (HINGE, SLIDE):
             on_it = tuple(a for a in range(len(model.actuator_trntype)) if _joint_of(model, a) == j)
             driven = bool(on_it) and all(_in_closed_form(model, a) for a in on_it)
-            traits = frozenset({"driven"} if driven else ())
-            found.append(_on_joint(model, j, "joint", joint.name, actuators=on_it, traits=traits))
+            traits, rest = frozenset({"driven"} if driven else ()), float(model.qpos0[model.jnt_qposadr[j]])
+            reach = reached.get(joint.name, (rest, rest))
+            found.append(_on_joint(model, j, "joint", joint.name, actuators=on_it, traits=traits, reach=reach))
     return found
 
 
@@ -81,7 +87,7 @@ def sensor_elements(model: mujoco.MjModel, columns: tuple[str, ...]) -> list[Ele
 
 def _on_joint(model: mujoco.MjModel, j: int, kind, name: str, **more) -> Element:
     hinge, dof, qpos = int(model.jnt_type[j]) == HINGE, int(model.jnt_dofadr[j]), int(model.jnt_qposadr[j])
-    return Element(kind, name, hinge, dof, qpos, int(model.jnt_bodyid[j]), **more)
+    return Element(kind, name, hinge, dof, qpos, int(model.jnt_bodyid[j]), joint=j, **more)
 
 
 def _joint_of(model: mujoco.MjModel, a: int) -> int:

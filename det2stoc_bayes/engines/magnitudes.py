@@ -1,5 +1,7 @@
 """Typical forces, speeds and travels in a model's own simulation."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -83,12 +85,14 @@ class Magnitudes:
             return Typical(span=max(self._span(where.source, where.index), 1e-6), **base)
         return Typical(**base)
 
-    def _joint(self, element: Element) -> dict[str, float]:
+    def _joint(self, element: Element) -> dict[str, Any]:
         inertia = max(self._rms("inertia", element.dof), 1e-9)
         speed = max(self._rms("qvel", element.dof), 1e-2)
         span = max(self._span("qpos", element.qpos), 1e-2)
         force = max(self._rms("force", element.dof), 0.1 * inertia * speed**2 / span)
-        return {"force": force, "speed": speed, "span": span, "inertia": inertia}
+        low, high = element.reach
+        reach = (low, high) if high > low else (low - span, high + span)
+        return {"force": force, "speed": speed, "span": span, "inertia": inertia, "reach": reach}
 
     def _body(self, element: Element) -> dict[str, float]:
         b = element.body

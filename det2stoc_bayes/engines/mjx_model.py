@@ -9,7 +9,8 @@ import numpy as np
 
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 
-FAR = 1e30  # a limit that is none
+FAR = 1e10  # a limit that is none
+COMPILED = ("actuator_forcelimited", "jnt_limited")  # flags that decide what the program contains
 TINY = 1e-12  # keeps a term in the program that MJX would leave out of it where the model has 0
 
 
@@ -30,13 +31,15 @@ def with_tiny(model: mujoco.MjModel, nonzero: frozenset[tuple[str, int]]) -> muj
 
 
 def with_limits(model: mujoco.MjModel, effects: Sequence[PlacedEffect]) -> mujoco.MjModel:
-    """Actuators whose force range effects rewrite have one, without end where the model has none."""
+    """Actuators and joints whose range effects rewrite have one, without end where the model has none."""
     model = copy.copy(model)
     for e in effects:
         if "actuator_forcerange" in e.effect.writes:
             for a in e.element.actuators:
                 if not model.actuator_forcelimited[a]:
                     model.actuator_forcelimited[a], model.actuator_forcerange[a] = True, [-FAR, FAR]
+        if "jnt_range" in e.effect.changes and not model.jnt_limited[e.element.joint]:
+            model.jnt_limited[e.element.joint], model.jnt_range[e.element.joint] = True, [-FAR, FAR]
     return model
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from det2stoc_bayes.engines.layout import LONGEST_BEND, column_address
 from det2stoc_bayes.engines.mjx_constants import ancestor_matrix, derived_constants
-from det2stoc_bayes.engines.mjx_model import braking, with_limits, with_tiny
+from det2stoc_bayes.engines.mjx_model import COMPILED, braking, with_limits, with_tiny
 from det2stoc_bayes.engines.mjx_step import Parameters, Stepper, field_of, in_fields, put_model
 from det2stoc_bayes.engines.mjx_support import check_effect, check_fields, check_supported
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
@@ -147,6 +147,7 @@ class Simulation:
             if in_fields(placed):
                 inside = {n: changed[n] if n in changed else field_of(self._model, n) for n in placed.effect.changes}
                 changed |= placed.effect.fields(p, inside, placed.element, jnp)
+        changed = {name: value for name, value in changed.items() if name not in COMPILED}
         for name, there in (
             ("dof_frictionloss", self._model._impl.dof_hasfrictionloss),
             ("tendon_frictionloss", self._model._impl.tendon_hasfrictionloss),

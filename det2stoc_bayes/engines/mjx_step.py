@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from det2stoc_bayes.engines import drive
-from det2stoc_bayes.engines.mjx_model import braking
+from det2stoc_bayes.engines.mjx_model import COMPILED, braking
 from det2stoc_bayes.mismatch.effects.base import BodyState, JointState, PlacedEffect
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missing, which nothing here uses
@@ -85,7 +85,7 @@ class Stepper:
             effect, at = self.effects[i].effect, self.effects[i].element
             inside = {name: field_of(m, name) for name in (*effect.writes, *effect.reads)}
             changed = effect.momentary(parameters[i], inside, self._joint_state(m, d, at, middle, lead), at, jnp)
-            changed.pop("actuator_forcelimited", None)  # compiled in
+            changed = {name: value for name, value in changed.items() if name not in COMPILED}
             if "dof_frictionloss" in changed:
                 there = m._impl.dof_hasfrictionloss
                 changed["dof_frictionloss"] = braking(there, changed["dof_frictionloss"])

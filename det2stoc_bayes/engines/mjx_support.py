@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import mujoco
 import numpy as np
 
+from det2stoc_bayes.engines.mjx_model import COMPILED
 from det2stoc_bayes.errors import EngineError
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 
@@ -58,7 +59,7 @@ def check_effect(model: mujoco.MjModel, placed: PlacedEffect) -> None:
     """Raise EngineError for an effect that has no way into MJX."""
     effect = placed.effect
     if effect.changes and effect.in_mjx_fields:
-        check_fields(model, [name for name in effect.changes if name != "opt.timestep"])  # that one may follow a clock
+        check_fields(model, [name for name in effect.changes if name not in ("opt.timestep", *COMPILED)])
     elif effect.changes and not effect.uses("joint_force"):
         raise EngineError(f"mjx: effect {placed.label} changes fields as MJX cannot; allowed: the engine c")
 

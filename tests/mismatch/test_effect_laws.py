@@ -162,6 +162,10 @@ def armature(spec, model):
     spec.joint("elbow").armature += 0.05
 
 
+def stopped(spec, model):
+    spec.joint("elbow").limited, spec.joint("elbow").range = True, np.rad2deg([-100.0, 0.25])
+
+
 def damped(spec, model):
     spec.joint("elbow").damping[0] += 0.3
 
@@ -181,6 +185,7 @@ LAWS = {
     "Armature": {"edit": armature},
     "CoggingTorque": force(lambda q, v, t: 0.3 * np.sin(9 * q + 0.4)),
     "PeriodicForce": force(lambda q, v, t: 0.4 * np.sin(2 * np.pi * 2.5 * t + 0.4)),
+    "HardStop": {"edit": stopped},
     "LinearDrag": push(lambda v, w: -0.6 * v),
     "QuadraticDrag": push(lambda v, w: -0.6 * np.linalg.norm(v) * v),
     "SizedDrag": push(lambda v, w: -0.5 * 1.2 * AREA * 20 * np.linalg.norm(v) * v),

@@ -3,6 +3,7 @@
 from det2stoc_bayes.blind.laws.actuator import ACTUATOR_LAWS
 from det2stoc_bayes.blind.laws.base import Effect, Law, Scene
 from det2stoc_bayes.blind.laws.body import BODY_LAWS
+from det2stoc_bayes.blind.laws.hard_stop import STOP_LAWS
 from det2stoc_bayes.blind.laws.joint import JOINT_LAWS
 from det2stoc_bayes.blind.laws.sensor import SENSOR_LAWS
 from det2stoc_bayes.blind.laws.world import WORLD_LAWS
@@ -10,6 +11,7 @@ from det2stoc_bayes.blind.laws.world import WORLD_LAWS
 INTEGRATION = "numerical_integration"  # what the believed model does wrong, not what reality does besides
 LAWS: dict[str, Law] = {
     **JOINT_LAWS,
+    **STOP_LAWS,
     **BODY_LAWS,
     **WORLD_LAWS,
     **ACTUATOR_LAWS,

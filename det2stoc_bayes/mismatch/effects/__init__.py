@@ -1,6 +1,17 @@
 """The catalogue of effects: adding one is one class in one of these files and its line here."""
 
-from det2stoc_bayes.mismatch.effects import actuator, body, friction, inertia, joint, periodic, sensor, simulator, world
+from det2stoc_bayes.mismatch.effects import (
+    actuator,
+    body,
+    friction,
+    hard_stop,
+    inertia,
+    joint,
+    periodic,
+    sensor,
+    simulator,
+    world,
+)
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Element, PlacedEffect, Typical
 
 CATALOGUE: dict[str, Effect] = {
@@ -17,6 +28,7 @@ CATALOGUE: dict[str, Effect] = {
         joint.Armature(),
         periodic.CoggingTorque(),
         periodic.PeriodicForce(),
+        hard_stop.HardStop(),
         body.LinearDrag(),
         body.QuadraticDrag(),
         body.MagnusLift(),

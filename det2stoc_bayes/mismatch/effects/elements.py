@@ -11,7 +11,8 @@ Kind = Literal["joint", "body", "actuator", "sensor", "world", "contact", "simul
 class Element:
     """Something in the model that an effect can sit on; indices and traits are what hooks and candidates need.
 
-    An actuator's dof and qpos are its joint's, if it drives one. `traits`: driven (a joint that motors drive, an
+    An actuator's dof and qpos are its joint's, if it drives one. `reach`: the least and the largest position of a joint
+    that was recorded, its rest position if none was. `traits`: driven (a joint that motors drive, an
     actuator that drives a joint), plain (an actuator of fixed or affine law), loose (a body whose inertial frame may
     be changed), sized (a body whose size a recording changes), fluid and wind (of the world), value and clock (of
     what is recorded).
@@ -27,6 +28,8 @@ class Element:
     column: str = ""
     unit: str = ""  # of a sensor's column
     actuators: tuple[int, ...] = ()  # an actuator's own index, or those that drive a joint
+    joint: int = -1
+    reach: tuple[float, float] = (0.0, 0.0)
     traits: frozenset[str] = frozenset()
 
     @property
@@ -41,6 +44,7 @@ class Typical:
 
     force, speed, spin: root mean squares; span: half the range travelled, of a body its radius of gyration;
     peak_*: largest values; command: the largest command; of the world speed is the wind's and force gravity's.
+    reach: the least and the largest position of a joint, as recorded.
     """
 
     force: float = 1.0
@@ -51,6 +55,7 @@ class Typical:
     peak_force: float = 2.0
     peak_speed: float = 2.0
     command: float = 1.0
+    reach: tuple[float, float] = (-1.0, 1.0)
     duration: float = 1.0  # s, the longest recording's
     sampling: float = 0.01  # s between samples
     timestep: float = 0.002
