@@ -22,6 +22,8 @@ IMITATORS = (
     "constant_force actuator_bias sensor_bias gravity_tilt joint_spring com_offset payload_mass",
     # weight, inertia, and the strength of motors
     "armature inertia_error mass_error payload_mass com_offset actuator_gain gravity_error joint_spring",
+    "added_mass armature mass_error payload_mass inertia_error",
+    "buoyancy gravity_error mass_error com_offset constant_force",
     # losses in proportion to speed, and its square
     "viscous_damping linear_drag torque_speed_limit actuator_lag",
     "quadratic_damping quadratic_drag linear_drag steady_wind",
@@ -32,7 +34,7 @@ IMITATORS = (
     "actuator_saturation torque_speed_limit",
     "actuator_gain actuator_gain_drift sensor_scale",
     # over time, and flight
-    "periodic_force periodic_wind",
+    "periodic_force periodic_wind base_vibration",
     "magnus_lift steady_wind linear_drag quadratic_drag gravity_tilt gravity_error",
 )
 

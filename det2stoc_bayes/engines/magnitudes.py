@@ -104,6 +104,7 @@ class Magnitudes:
             "spin": max(self._rms("body_spin", b), 1e-1),
             "span": max(float(np.sqrt(self.model.body_inertia[b].sum() / (2 * mass))), 1e-3),
             "inertia": mass,
+            "density": float(self.model.opt.density),
         }
 
     def _actuator(self, element: Element) -> dict[str, float]:

@@ -24,14 +24,13 @@ def changes(
     response, readings = Response(fit), _Readings(fit)
     for placed in candidates:
         trials = placed.effect.trials(placed.typical)
-        flat = [dict(values) for trial in trials for values in trial.columns]
-        parts = [
-            _columns(response, readings, placed, flat[begin : begin + MAX_COLUMNS])
-            for begin in range(0, len(flat), MAX_COLUMNS)
-        ]
-        columns = iter(np.moveaxis(np.concatenate(parts, -1), -1, 0))
-        for trial in trials:
-            yield placed, trial, np.stack([next(columns) for _ in trial.columns], -1)
+        while trials:
+            some = trials[: max(MAX_COLUMNS // len(trials[0].columns), 1)]
+            trials = trials[len(some) :]
+            found = _columns(response, readings, placed, [dict(values) for trial in some for values in trial.columns])
+            columns = iter(np.moveaxis(found, -1, 0))
+            for trial in some:
+                yield placed, trial, np.stack([next(columns) for _ in trial.columns], -1)
         advance(1)
 
 
@@ -48,6 +47,9 @@ def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tr
         inside = response.joint_states(at)
         size = np.stack([effect.friction(p, inside, np).mean(-1) for p in given], -1)
         return response.propagate(*response.rubbed(at.dof, size, placed.typical))
+    if effect.uses("gravity"):
+        felt = [effect.gravity(p, response.moments(), np).mean(2) for p in given]
+        return response.propagate(*response.pulled(np.stack(felt, -1)))
     if effect.uses("body_force"):
         state, shape = response.body_states(at), response.path.qpos.shape[:2]
         force = np.stack([effect.body_force(p, state, np).reshape(*shape, 3) for p in given], -1)

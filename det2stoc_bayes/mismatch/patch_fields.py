@@ -85,7 +85,9 @@ def mjcf_text(path: Path, root: Path, wanted: mujoco.MjModel) -> tuple[str, mujo
     spec = _spec(path, root)
     changed = differences(wanted, spec.compile())
     for body in _explicit(wanted, changed):
-        spec.adopt_inertial(spec.body(wanted.body(body).name) if wanted.body(body).name else _by_id(spec, body))
+        spec.adopt_inertial(_body(spec, wanted, body))
+    for body in _rows(changed.get("body_gravcomp", np.zeros(0, bool))):
+        _body(spec, wanted, body).gravcomp = float(wanted.body_gravcomp[body])
     if "opt.integrator" in changed:
         spec.option.integrator = wanted.opt.integrator
     with _all_digits():
@@ -116,8 +118,9 @@ def _explicit(wanted: mujoco.MjModel, changed: Mapping[str, np.ndarray]) -> list
     return sorted((bodies | {int(wanted.geom_bodyid[g]) for g in geoms}) - {0})
 
 
-def _by_id(spec: mujoco.MjSpec, body: int) -> mujoco.MjsBody:
-    return next(b for b in spec.bodies if b.id == body)
+def _body(spec: mujoco.MjSpec, model: mujoco.MjModel, body: int) -> mujoco.MjsBody:
+    name = model.body(body).name
+    return spec.body(name) if name else next(b for b in spec.bodies if b.id == body)
 
 
 def _written(text: str, root: Path, wanted: mujoco.MjModel, places: Sequence[Place]) -> str:

@@ -25,8 +25,10 @@ from det2stoc_bayes.problem import merge_requests
 from det2stoc_bayes.segments import from_pieces
 
 NUM_INSIDE = 8  # points of an interval at which a force is averaged
+INSIDE = (np.arange(NUM_INSIDE) + 0.5) / NUM_INSIDE
 COMMAND_STEP = 1e-3  # of a unit of the command: what follows is linear, or too stiff to see
 FRICTION_STEP = 3e-3  # of the typical force: slips wherever the joint moves
+GRAVITY_STEP = 1e-2  # m/s2
 FORCE_STEP = 1e-3  # of the force that would change the speed by its own spread in one interval
 
 
@@ -165,6 +167,27 @@ class Response:
         b, d = self._unit_response(("friction", dof), _unit("coulomb_friction", dof), step)
         return b[..., None] * sizes[:, :, None], d[..., None] * sizes[:, :, None]
 
+    def pulled(self, acceleration: Float[np.ndarray, "S K 3 columns"]) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of a change of gravity, held over each interval."""
+        d, e = zip(*(self._unit_pull(axis) for axis in range(3)), strict=True)
+        scaled = [
+            sum(unit[..., None] * acceleration[:, :, axis, None] for axis, unit in enumerate(units)) for units in (d, e)
+        ]
+        return np.asarray(scaled[0]), np.asarray(scaled[1])
+
+    def _unit_pull(self, axis: int) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of 1 m/s2 more gravity along an axis, by a small step."""
+        key = ("gravity", axis)
+        if key not in self._units:
+            d, e = self.defects([(_unit_gravity(), {"change": GRAVITY_STEP * np.eye(3)[axis]})])
+            self._units[key] = d[..., 0] / GRAVITY_STEP, e[..., 0] / GRAVITY_STEP
+        return self._units[key]
+
+    def moments(self) -> Float[np.ndarray, "S K points"]:
+        """Times inside every interval."""
+        time = self.problem.segments.time
+        return time[:, :-1, None] + INSIDE * np.diff(time, axis=1)[..., None]
+
     def _unit_response(self, key: tuple[str, int], probe: PlacedEffect, step: float) -> tuple[np.ndarray, np.ndarray]:
         """d and e of one unit of a probe's parameter, by a small step."""
         if key not in self._units:
@@ -204,8 +227,7 @@ class Response:
     def _joint_states(self, at: Element) -> JointState:
         time = self.problem.segments.time
         q, v = self.path.qpos[..., at.qpos], self.path.qvel[..., at.dof]
-        h = np.diff(time, axis=1)[..., None]
-        u = (np.arange(NUM_INSIDE) + 0.5) / NUM_INSIDE
+        h, u = np.diff(time, axis=1)[..., None], INSIDE
         q0, q1, v0, v1 = q[:, :-1, None], q[:, 1:, None], v[:, :-1, None], v[:, 1:, None]
         inside = (
             (1 + 2 * u) * (1 - u) ** 2 * q0
@@ -213,7 +235,7 @@ class Response:
             + u**2 * (3 - 2 * u) * q1
             + u**2 * (u - 1) * h * v1
         )
-        when = time[:, :-1, None] + u * h
+        when = self.moments()
         return JointState(inside, v0 + u * (v1 - v0), when, self._drive(at, when, u) if at.actuators else None)
 
     def _drive(self, at: Element, when: Float[np.ndarray, "S K points"], share: Float[np.ndarray, " points"]) -> Drive:
@@ -250,3 +272,9 @@ def _unit_command(at: Element) -> PlacedEffect:
     from det2stoc_bayes.mismatch.effects import CATALOGUE
 
     return PlacedEffect(CATALOGUE["actuator_bias"], at, Typical())
+
+
+def _unit_gravity() -> PlacedEffect:
+    from det2stoc_bayes.mismatch.effects.base_vibration import GravityChange
+
+    return PlacedEffect(GravityChange(), Element("world", "world"), Typical())

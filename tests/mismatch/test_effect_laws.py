@@ -127,6 +127,11 @@ def loaded(m, d):
     m.dof_frictionloss[ELBOW] = 0.12 * abs(8 * (u - q) - 0.3 * v)
 
 
+def shaken(m, d):
+    rate = 2 * np.pi * 3.0
+    m.opt.gravity[:] = np.array([0, 0, -9.81]) + rate**2 * np.array([0.01, 0.004, -0.02]) * np.sin(rate * d.time + 0.7)
+
+
 def limited(m, d):
     speed = d.qvel[ELBOW]
     m.actuator_forcelimited[SERVO] = True
@@ -190,6 +195,8 @@ LAWS = {
     "QuadraticDrag": push(lambda v, w: -0.6 * np.linalg.norm(v) * v),
     "SizedDrag": push(lambda v, w: -0.5 * 1.2 * AREA * 20 * np.linalg.norm(v) * v),
     "MagnusLift": push(lambda v, w: 1.5 * np.cross(w, v)),
+    "Buoyancy": push(lambda v, w: [0, 0, 40 * 0.004 * 9.81]),
+    "AddedMass": inertial(lambda b: setattr(b, "mass", 0.8)) | push(lambda v, w: [0, 0, 0.2 * 9.81]),
     "PayloadMass": {"edit": payload, "xml": STILL},
     "MassError": inertial(lambda b: (setattr(b, "inertia", b.inertia * 0.75), setattr(b, "mass", 0.45))),
     "ComOffset": inertial(lambda b: setattr(b, "ipos", b.ipos + [0.03, 0.01, -0.02])),
@@ -198,6 +205,7 @@ LAWS = {
     "GravityError": option(gravity=[0, 0, -10.31]),
     "SteadyWind": option(wind=[3.5, -0.1, 0.3]),
     "PeriodicWind": rewrite(gust),
+    "BaseVibration": rewrite(shaken),
     "ActuatorDelay": {"command": late},
     "ActuatorLag": {"command": lag},
     "ActuatorGain": last(lambda u, t: 1.7 * u),

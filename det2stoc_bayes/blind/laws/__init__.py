@@ -3,7 +3,9 @@
 from det2stoc_bayes.blind.laws.actuator import ACTUATOR_LAWS
 from det2stoc_bayes.blind.laws.base import Effect, Law, Scene
 from det2stoc_bayes.blind.laws.body import BODY_LAWS
+from det2stoc_bayes.blind.laws.frame import FRAME_LAWS
 from det2stoc_bayes.blind.laws.hard_stop import STOP_LAWS
+from det2stoc_bayes.blind.laws.immersed import IMMERSED_LAWS
 from det2stoc_bayes.blind.laws.joint import JOINT_LAWS
 from det2stoc_bayes.blind.laws.sensor import SENSOR_LAWS
 from det2stoc_bayes.blind.laws.world import WORLD_LAWS
@@ -13,7 +15,9 @@ LAWS: dict[str, Law] = {
     **JOINT_LAWS,
     **STOP_LAWS,
     **BODY_LAWS,
+    **IMMERSED_LAWS,
     **WORLD_LAWS,
+    **FRAME_LAWS,
     **ACTUATOR_LAWS,
     **SENSOR_LAWS,
     INTEGRATION: Law("simulator", {"timestep": "s"}, lambda scene, element: 0.02, lambda m, drawn: {"timestep": m}),

@@ -2,7 +2,10 @@
 
 from det2stoc_bayes.mismatch.effects import (
     actuator,
+    added_mass,
+    base_vibration,
     body,
+    buoyancy,
     friction,
     hard_stop,
     inertia,
@@ -32,6 +35,8 @@ CATALOGUE: dict[str, Effect] = {
         body.LinearDrag(),
         body.QuadraticDrag(),
         body.MagnusLift(),
+        buoyancy.Buoyancy(),
+        added_mass.AddedMass(),
         inertia.PayloadMass(),
         inertia.MassError(),
         inertia.ComOffset(),
@@ -40,6 +45,7 @@ CATALOGUE: dict[str, Effect] = {
         world.GravityError(),
         world.SteadyWind(),
         periodic.PeriodicWind(),
+        base_vibration.BaseVibration(),
         actuator.ActuatorDelay(),
         actuator.ActuatorLag(),
         actuator.ActuatorGain(),

@@ -164,6 +164,10 @@ class Effect:
         """What arrives at the actuator, given the command and the time at every step (..., steps)."""
         raise NotImplementedError
 
+    def gravity(self, p: Mapping[str, Array], t: Array, xp: Any) -> Array:
+        """Acceleration (..., 3) that `momentary` adds to gravity; screening takes it for the effect."""
+        raise NotImplementedError
+
     def sample_time(self, p: Mapping[str, Array], t: Array, xp: Any) -> Array:
         """The time whose state a sample stamped t shows."""
         return t

@@ -56,6 +56,7 @@ class Typical:
     peak_speed: float = 2.0
     command: float = 1.0
     reach: tuple[float, float] = (-1.0, 1.0)
+    density: float = 0.0  # of the fluid around a body
     duration: float = 1.0  # s, the longest recording's
     sampling: float = 0.01  # s between samples
     timestep: float = 0.002

@@ -67,13 +67,18 @@ class SineEffect(Effect):
         }
 
 
+def timed_rates(typical):
+    """From half a period in the longest recording to half the sampling rate, MOST_RATES of them; and their pitch."""
+    pitch = 0.5 / typical.duration
+    return pitch, min(max(0.5 / typical.sampling, 4 * pitch), MOST_RATES * pitch), pitch
+
+
 class TimedEffect(SineEffect):
     """A sine of time."""
 
     def _rates(self, typical):
-        """From half a period in the longest recording to half the sampling rate; MOST_RATES of them."""
-        pitch = 0.5 / typical.duration
-        return pitch, min(max(0.5 / typical.sampling, 4 * pitch), MOST_RATES * pitch), pitch
+        """Frequencies."""
+        return timed_rates(typical)
 
 
 class CoggingTorque(JointEffect, SineEffect):
