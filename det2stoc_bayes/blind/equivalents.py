@@ -35,6 +35,7 @@ IMITATORS = (
     "actuator_gain actuator_gain_drift sensor_scale",
     # over time, and flight
     "periodic_force periodic_wind base_vibration",
+    "tether attraction joint_spring constant_force",
     "magnus_lift steady_wind linear_drag quadratic_drag gravity_tilt gravity_error",
 )
 

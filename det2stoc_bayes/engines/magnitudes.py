@@ -18,7 +18,7 @@ class Magnitudes:
     def __init__(self, problem: Problem):
         self.problem, self.model = problem, problem.simulator.model
         self._track = {
-            name: [] for name in ("qpos", "qvel", "force", "inertia", "body_speed", "body_spin", "body_force")
+            name: [] for name in ("qpos", "qvel", "force", "inertia", "body_speed", "body_spin", "body_force", "place")
         } | {name: [] for name in ("sensordata", "ctrl", "actuator_force", "actuator_velocity")}
         segments = problem.segments
         steps = max(MAX_STEPS // segments.count, 50)
@@ -62,6 +62,7 @@ class Magnitudes:
             for b in range(model.nbody):
                 mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, b, velocity, 0)
                 speeds.append((np.linalg.norm(velocity[3:]), np.linalg.norm(velocity[:3])))
+            row["place"] = data.xipos
             row["body_speed"], row["body_spin"] = np.array(speeds).T
             row["body_force"] = model.body_mass * np.linalg.norm(data.cacc[:, 3:], axis=1)
             for name, value in row.items():
@@ -94,8 +95,10 @@ class Magnitudes:
         reach = (low, high) if high > low else (low - span, high + span)
         return {"force": force, "speed": speed, "span": span, "inertia": inertia, "reach": reach}
 
-    def _body(self, element: Element) -> dict[str, float]:
-        b = element.body
+    def _body(self, element: Element) -> dict[str, Any]:
+        b, places = element.body, self.arrays["place"]
+        middle = places[:, b].mean(0) if len(places) else np.zeros(3)
+        way = float(np.sqrt(np.mean(np.sum((places[:, b] - middle) ** 2, -1)))) if len(places) else 0.0
         mass = max(float(self.model.body_mass[b]), 1e-9)
         gravity = float(np.linalg.norm(self.model.opt.gravity))
         return {
@@ -104,6 +107,8 @@ class Magnitudes:
             "spin": max(self._rms("body_spin", b), 1e-1),
             "span": max(float(np.sqrt(self.model.body_inertia[b].sum() / (2 * mass))), 1e-3),
             "inertia": mass,
+            "place": tuple(middle.tolist()),
+            "way": max(way, 1e-2),
             "density": float(self.model.opt.density),
         }
 

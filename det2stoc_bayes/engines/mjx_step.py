@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from det2stoc_bayes.engines import drive
 from det2stoc_bayes.engines.mjx_model import COMPILED, braking
+from det2stoc_bayes.engines.places import bodies_of
 from det2stoc_bayes.mismatch.effects.base import BodyState, JointState, PlacedEffect
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missing, which nothing here uses
@@ -127,14 +128,21 @@ class Stepper:
             now = d.replace(qpos=_integrate_pos(self._kinds.jnt_type, d.qpos, way, lead), qvel=middle)
             now = mjx.com_vel(m, mjx.com_pos(m, mjx.kinematics(m, now)))
         for i in self._pushed:
-            body = self.effects[i].element.body
-            spin, lever = now.cvel[body, :3], now.xipos[body] - now.subtree_com[m.body_rootid[body]]
-            geoms = np.flatnonzero(self._kinds.geom_bodyid == body)
-            shapes = tuple(int(t) for t in self._kinds.geom_type[geoms])
-            velocity, time = now.cvel[body, 3:] + jnp.cross(spin, lever), d.time + lead
-            state = BodyState(velocity, time, spin, shapes, m.geom_size[geoms])
-            wrench = wrench.at[body, :3].add(self.effects[i].effect.body_force(parameters[i], state, jnp))
+            effect = self.effects[i].effect
+            for body in bodies_of(self._kinds, self.effects[i].element):
+                state = self._body_state(m, now, body, d.time + lead)
+                wrench = wrench.at[body, :3].add(effect.body_force(parameters[i], state, jnp))
+                if effect.uses("body_torque"):
+                    wrench = wrench.at[body, 3:].add(effect.body_torque(parameters[i], state, jnp))
         return d.replace(xfrc_applied=wrench)
+
+    def _body_state(self, m, now, body, time):
+        spin, lever = now.cvel[body, :3], now.xipos[body] - now.subtree_com[m.body_rootid[body]]
+        geoms = np.flatnonzero(self._kinds.geom_bodyid == body)
+        shapes = tuple(int(t) for t in self._kinds.geom_type[geoms])
+        velocity, axes = now.cvel[body, 3:] + jnp.cross(spin, lever), now.ximat[body]
+        inertia = (axes * m.body_inertia[body]) @ axes.T
+        return BodyState(velocity, time, spin, shapes, m.geom_size[geoms], now.xipos[body], m.body_mass[body], inertia)
 
 
 def in_fields(placed: PlacedEffect) -> bool:

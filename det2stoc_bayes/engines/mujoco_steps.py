@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from det2stoc_bayes.engines import drive
 from det2stoc_bayes.engines.base import EffectRows
 from det2stoc_bayes.engines.layout import integrate_positions
-from det2stoc_bayes.engines.places import body_state
+from det2stoc_bayes.engines.places import DERIVED, bodies_of, body_state
 from det2stoc_bayes.mismatch.effects.base import BodyState, JointState
 
 _NONE, _VEL = mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL
@@ -42,10 +42,8 @@ class Stepper:
         self.force, self.wrench = batch.bind("qfrc_applied"), batch.bind("xfrc_applied")
         self.ctrl = batch.bind("ctrl") if model.nu else np.zeros((len(self.qpos), 0))
         self.act = batch.bind("act") if model.na else np.zeros((len(self.qpos), 0))
-        self.derived = {n: batch.bind(n) for n in ("cvel", "xipos", "subtree_com")} if self.pushed else {}
-        self.sizes = (
-            batch.expand("geom_size") if any(e.placed.element.traits & {"sized"} for e in self.pushed) else None
-        )
+        self.derived = {n: batch.bind(n) for n in DERIVED if n != "cdof"} if self.pushed else {}
+        self.shaped = self._shaped()
         self.fields = self._expanded()
         self.believed = {n: self.fields[n].copy() for e in self.momentary for n in e.placed.effect.writes}
         self.laws: dict[int, drive.DriveLaw] = {}
@@ -125,8 +123,11 @@ class Stepper:
             state = self._joint_state(e)
             self.force[e.rows, e.placed.element.dof] += e.placed.effect.joint_force(e.parameters, state, np)
         for e in self.pushed:
-            push = e.placed.effect.body_force(e.parameters, self._body_state(e), np)
-            self.wrench[e.rows, e.placed.element.body, :3] += push
+            for body in bodies_of(self.model, e.placed.element):
+                effect, state = e.placed.effect, self._body_state(e, body)
+                self.wrench[e.rows, body, :3] += effect.body_force(e.parameters, state, np)
+                if effect.uses("body_torque"):
+                    self.wrench[e.rows, body, 3:] += effect.body_torque(e.parameters, state, np)
 
     def _place(self) -> None:
         """Velocities and places of bodies for the step that begins; RK4's in its middle."""
@@ -170,7 +171,16 @@ class Stepper:
             self.laws[key] = drive.law_of(self.model, at, lambda name: self.fields[name][rows].copy())
         return self.laws[key]
 
-    def _body_state(self, e: EffectRows) -> BodyState:
-        rows, sizes = e.rows, self.model.geom_size[None] if self.sizes is None else self.sizes[e.rows]
-        cvel, xipos, com = (self.derived[n][rows] for n in ("cvel", "xipos", "subtree_com"))
-        return body_state(self.model, e.placed.element, cvel, xipos, com, sizes, self.time[rows] + self.lead[rows])
+    def _body_state(self, e: EffectRows, body: int) -> BodyState:
+        rows = e.rows
+        derived, shaped = ({n: a[rows] for n, a in arrays.items()} for arrays in (self.derived, self.shaped))
+        return body_state(self.model, body, derived, shaped, self.time[rows] + self.lead[rows])
+
+    def _shaped(self) -> dict[str, np.ndarray]:
+        """Fields that forces on bodies look at, simulations first."""
+        sized = any(e.placed.element.traits & {"sized"} for e in self.pushed)
+        heavy = any(e.placed.effect.uses("body_torque") for e in self.pushed)
+        own = {"geom_size": sized, "body_mass": heavy, "body_inertia": heavy}
+        count = len(self.time)
+        alike = {n: np.broadcast_to(getattr(self.model, n), (count, *getattr(self.model, n).shape)) for n in own}
+        return {n: self.batch.expand(n) if on else alike[n] for n, on in own.items()}

@@ -10,55 +10,63 @@ from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.effects.base import BodyState, Element
 
-DERIVED = ("cvel", "xipos", "subtree_com", "cdof")
+DERIVED = ("cvel", "xipos", "ximat", "subtree_com", "cdof")
+KINDS = ("body_mass", "body_inertia", "geom_size")  # fields that bodies' forces look at
 MOST = 1024  # states derived at once
+
+
+def bodies_of(model: mujoco.MjModel, at: Element) -> tuple[int, ...]:
+    """The bodies that a force acts on: the element, or all that have mass if it is the world."""
+    return (at.body,) if at.body > 0 else tuple(b for b in range(1, model.nbody) if model.body_mass[b] > 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """MuJoCo's derived quantities of some states, first axis the states'."""
+    """MuJoCo's derived quantities of some states, and the fields of KINDS; first axis the states'."""
 
     model: mujoco.MjModel
-    cvel: Float[np.ndarray, "states bodies 6"]
-    xipos: Float[np.ndarray, "states bodies 3"]
-    subtree_com: Float[np.ndarray, "states bodies 3"]
-    cdof: Float[np.ndarray, "states nv 6"]
-    sizes: Float[np.ndarray, "states geoms 3"]
+    derived: Mapping[str, np.ndarray]
+    fields: Mapping[str, np.ndarray]
 
-    def body_state(self, at: Element, time: Float[np.ndarray, " states"]) -> BodyState:
+    def body_state(self, body: int, time: Float[np.ndarray, " states"]) -> BodyState:
         """What a force on this body sees."""
-        return body_state(self.model, at, self.cvel, self.xipos, self.subtree_com, self.sizes, time)
+        return body_state(self.model, body, self.derived, self.fields, time)
 
-    def on_joints(self, at: Element, force: Float[np.ndarray, "states 3"]) -> Float[np.ndarray, "states nv"]:
-        """The generalized force of a force at the body's centre of mass."""
-        chain, body = np.zeros(self.model.nv, bool), at.body
+    def on_joints(
+        self, body: int, force: Float[np.ndarray, "states 3"], torque: Float[np.ndarray, "states 3"] | None = None
+    ) -> Float[np.ndarray, "states nv"]:
+        """The generalized force of a force at the body's centre of mass, and of a torque."""
+        chain, lever = np.zeros(self.model.nv, bool), _lever(self.model, body, self.derived)
         while body > 0:
             chain |= self.model.dof_bodyid == body
             body = self.model.body_parentid[body]
-        axes, slides = self.cdof[..., :3], self.cdof[..., 3:]
-        moved = slides + np.cross(axes, _lever(self.model, at, self.xipos, self.subtree_com)[:, None])
-        return np.where(chain, np.einsum("sdi,si->sd", moved, force), 0.0)
+        axes, slides = self.derived["cdof"][..., :3], self.derived["cdof"][..., 3:]
+        found = np.einsum("sdi,si->sd", slides + np.cross(axes, lever[:, None]), force)
+        if torque is not None:
+            found = found + np.einsum("sdi,si->sd", axes, torque)
+        return np.where(chain, found, 0.0)
 
 
 def body_state(
     model: mujoco.MjModel,
-    at: Element,
-    cvel: Float[np.ndarray, "states bodies 6"],
-    xipos: Float[np.ndarray, "states bodies 3"],
-    subtree_com: Float[np.ndarray, "states bodies 3"],
-    sizes: Float[np.ndarray, "#states geoms 3"],
+    body: int,
+    derived: Mapping[str, np.ndarray],
+    fields: Mapping[str, np.ndarray],
     time: Float[np.ndarray, " states"],
 ) -> BodyState:
-    """What a force on a body sees, from MuJoCo's derived quantities."""
-    spin, geoms = cvel[:, at.body, :3], np.flatnonzero(model.geom_bodyid == at.body)
-    velocity = cvel[:, at.body, 3:] + np.cross(spin, _lever(model, at, xipos, subtree_com))
+    """What a force on a body sees, from MuJoCo's derived quantities and the fields of KINDS, first axis the states'."""
+    spin, geoms = derived["cvel"][:, body, :3], np.flatnonzero(model.geom_bodyid == body)
+    velocity = derived["cvel"][:, body, 3:] + np.cross(spin, _lever(model, body, derived))
     shapes = tuple(int(t) for t in model.geom_type[geoms])
-    return BodyState(velocity, time, spin, shapes, sizes[:, geoms])
+    axes = derived["ximat"][:, body].reshape(-1, 3, 3)
+    inertia = np.einsum("sij,sj,skj->sik", axes, np.broadcast_to(fields["body_inertia"][:, body], (len(axes), 3)), axes)
+    mass, position = fields["body_mass"][:, body], derived["xipos"][:, body]
+    return BodyState(velocity, time, spin, shapes, fields["geom_size"][:, geoms], position, mass, inertia)
 
 
-def _lever(model: mujoco.MjModel, at: Element, xipos: np.ndarray, subtree_com: np.ndarray) -> np.ndarray:
+def _lever(model: mujoco.MjModel, body: int, derived: Mapping[str, np.ndarray]) -> np.ndarray:
     """From the point at which MuJoCo tells velocities to the body's centre of mass."""
-    return xipos[:, at.body] - subtree_com[:, model.body_rootid[at.body]]
+    return derived["xipos"][:, body] - derived["subtree_com"][:, model.body_rootid[body]]
 
 
 def places(
@@ -79,6 +87,5 @@ def places(
         derived = {name: batch.bind(name) for name in DERIVED}
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         parts.append([np.array(a) for a in derived.values()])
-    sizes = np.broadcast_to(fields.get("geom_size", model.geom_size), (len(qpos), model.ngeom, 3))
-    cvel, xipos, subtree_com, cdof = (np.concatenate(a) for a in zip(*parts, strict=True))
-    return Places(model, cvel, xipos, subtree_com, cdof, sizes)
+    found = dict(zip(DERIVED, (np.concatenate(a) for a in zip(*parts, strict=True)), strict=True))
+    return Places(model, found, {name: fields.get(name, getattr(model, name)[None]) for name in KINDS})

@@ -51,9 +51,7 @@ def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tr
         felt = [effect.gravity(p, response.moments(), np).mean(2) for p in given]
         return response.propagate(*response.pulled(np.stack(felt, -1)))
     if effect.uses("body_force"):
-        state, shape = response.body_states(at), response.path.qpos.shape[:2]
-        force = np.stack([effect.body_force(p, state, np).reshape(*shape, 3) for p in given], -1)
-        return response.propagate(*response.pushed(at, force))
+        return response.propagate(*response.pushed(effect, at, given))
     if effect.uses("control") and not effect.uses("memory"):  # of this sample's command alone
         return response.propagate(*response.commanded(at, effect, tried))
     return response.propagate(*response.defects([(placed, values) for values in tried]))

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from det2stoc_bayes.errors import ModelError
+from det2stoc_bayes.mismatch import patch_forces as forces
 from det2stoc_bayes.mismatch import patch_runtime as runtime
 from det2stoc_bayes.mismatch.effects.base import Effect, PlacedEffect
 
@@ -21,7 +22,7 @@ _COLUMNS = ("measure", "at_time", "arrays", "place_of")
 _MIDDLE = ("lead_of", "remember_speed", "middle_speed", "follow")
 _SERVED: dict[str, tuple[str, tuple[str, ...]]] = {
     "joint_force": ("JOINT_FORCES", ("add_joint_forces", "joint_state", *_MIDDLE)),
-    "body_force": ("BODY_FORCES", ("add_body_forces", "copy_state", *_MIDDLE)),
+    "body_force": ("BODY_FORCES", ("add_body_forces", "body_state", "copy_state", *_MIDDLE)),
     "clock": ("CLOCKS", ("keep_clock",)),
     "momentary": (
         "MOMENTARY",
@@ -110,6 +111,8 @@ def _row(placed: PlacedEffect, values: Values, hook: str, laws: "_Laws", constan
     row = [repr(placed.element.column or placed.element.name), laws.add(placed.effect, hook), constants]
     if hook == "momentary":
         row = [repr(placed.element.kind), *row, repr(placed.effect.writes), repr(placed.effect.reads)]
+    if hook == "body_force":
+        row.insert(2, laws.add(placed.effect, "body_torque") if placed.effect.uses("body_torque") else "None")
     if hook == "control":
         row.append(repr(placed.effect.memory(given)))
     return f"({', '.join(row)})"
@@ -234,7 +237,8 @@ def _fields_table(fields: Sequence[FieldWrite]) -> str:
 def _runtime_sources(hooks: Sequence[str], fields: bool) -> list[str]:
     served = {name for h in hooks for name in _SERVED[h][1]} | set(_ALWAYS) | ({"write_fields"} if fields else set())
     served |= {"field_of"} if fields or "momentary" in hooks else set()
-    members = [v for v in vars(runtime).values() if getattr(v, "__module__", "") == runtime.__name__]
+    parts = (runtime, forces)
+    members = [v for part in parts for v in vars(part).values() if getattr(v, "__module__", "") == part.__name__]
     return [inspect.getsource(m) for m in members if m.__name__ in served]
 
 

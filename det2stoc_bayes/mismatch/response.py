@@ -17,9 +17,9 @@ from jaxtyping import Float
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.engines.drive import drive_of
 from det2stoc_bayes.engines.layout import integrate_positions, position_difference
-from det2stoc_bayes.engines.places import Places, places
+from det2stoc_bayes.engines.places import Places, bodies_of, places
 from det2stoc_bayes.linearization import START_STEP
-from det2stoc_bayes.mismatch.effects.base import BodyState, Drive, Effect, Element, JointState, PlacedEffect, Typical
+from det2stoc_bayes.mismatch.effects.base import Drive, Effect, Element, JointState, PlacedEffect, Typical
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import merge_requests
 from det2stoc_bayes.segments import from_pieces
@@ -196,18 +196,21 @@ class Response:
             self._units[key] = d[..., 0] / step, e[..., 0] / step
         return self._units[key]
 
-    def pushed(self, at: Element, forces: Float[np.ndarray, "S samples 3 columns"]) -> tuple[np.ndarray, np.ndarray]:
-        """d and e of forces at a body's centre of mass, between samples the mean of both ends'."""
-        flat = np.moveaxis(forces, -1, 0).reshape(forces.shape[-1], -1, 3)
-        joints = np.stack([self.places.on_joints(at, f) for f in flat], -1).reshape(*self.path.qvel.shape, -1)
+    def pushed(
+        self, effect: Effect, at: Element, trials: Sequence[Mapping[str, np.ndarray]]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of an effect's forces on bodies, between samples the mean of both ends'."""
+        joints, time = np.zeros((*self.path.qvel.shape, len(trials))), np.ravel(self.problem.segments.time)
+        for body in bodies_of(self.problem.simulator.model, at):
+            state = self.places.body_state(body, time)
+            for i, p in enumerate(trials):
+                torque = effect.body_torque(p, state, np) if effect.uses("body_torque") else None
+                found = self.places.on_joints(body, effect.body_force(p, state, np), torque)
+                joints[..., i] += found.reshape(joints.shape[:3])
         mean = 0.5 * (joints[:, :-1] + joints[:, 1:])
         parts = [self.forced(dof, mean[:, :, dof]) for dof in range(mean.shape[2]) if mean[:, :, dof].any()]
         d, e = (sum(x) for x in zip(*parts, strict=True)) if parts else self.forced(0, mean[:, :, 0])
         return np.asarray(d), np.asarray(e)
-
-    def body_states(self, at: Element) -> BodyState:
-        """A body's motion at every sample (S * samples)."""
-        return self.places.body_state(at, np.ravel(self.problem.segments.time))
 
     @cached_property
     def places(self) -> Places:

@@ -63,6 +63,33 @@ def push(law):
     return {"before": before}
 
 
+def unit(x):
+    return x / np.linalg.norm(x)
+
+
+def pull(law):
+    """A force on the lower arm's centre of mass, from where it is."""
+
+    def before(m, d):
+        d.xfrc_applied[LOWER, :3] = law(d.xipos[LOWER])
+
+    return {"before": before}
+
+
+def turning(m, d):
+    """Fictitious forces on points that together have each body's mass, centre and inertia."""
+    rate = np.array([0.4, 0.7, -1.2])
+    for b in (1, 2):
+        jac, axes = np.zeros((3, m.nv)), d.ximat[b].reshape(3, 3)
+        second = np.sum(m.body_inertia[b]) / 2 - m.body_inertia[b]  # of mass along the principal axes
+        for axis, moment in zip(axes.T, second, strict=True):
+            arm = np.sqrt(moment / (m.body_mass[b] / 3))
+            for point in (d.xipos[b] + arm * axis, d.xipos[b] - arm * axis):
+                mujoco.mj_jac(m, d, jac, None, point, b)
+                felt = 2 * np.cross(rate, jac @ d.qvel) + np.cross(rate, np.cross(rate, point))
+                d.qfrc_applied += jac.T @ (-m.body_mass[b] / 6 * felt)
+
+
 def rewrite(change):
     """Changes the model before each step."""
     return {"before": change}
@@ -197,6 +224,8 @@ LAWS = {
     "MagnusLift": push(lambda v, w: 1.5 * np.cross(w, v)),
     "Buoyancy": push(lambda v, w: [0, 0, 40 * 0.004 * 9.81]),
     "AddedMass": inertial(lambda b: setattr(b, "mass", 0.8)) | push(lambda v, w: [0, 0, 0.2 * 9.81]),
+    "Tether": pull(lambda x: -20 * max(np.linalg.norm(x - [0.2, 0.1, 0.6]) - 0.3, 0) * unit(x - [0.2, 0.1, 0.6])),
+    "Attraction": pull(lambda x: -0.3 * unit(x - [0.9, 0.2, 0.4]) / np.sum((x - [0.9, 0.2, 0.4]) ** 2)),
     "PayloadMass": {"edit": payload, "xml": STILL},
     "MassError": inertial(lambda b: (setattr(b, "inertia", b.inertia * 0.75), setattr(b, "mass", 0.45))),
     "ComOffset": inertial(lambda b: setattr(b, "ipos", b.ipos + [0.03, 0.01, -0.02])),
@@ -205,6 +234,7 @@ LAWS = {
     "GravityError": option(gravity=[0, 0, -10.31]),
     "SteadyWind": option(wind=[3.5, -0.1, 0.3]),
     "PeriodicWind": rewrite(gust),
+    "RotatingFrame": rewrite(turning),
     "BaseVibration": rewrite(shaken),
     "ActuatorDelay": {"command": late},
     "ActuatorLag": {"command": lag},

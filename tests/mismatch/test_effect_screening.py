@@ -68,6 +68,8 @@ LOOSE = {
     "CoggingTorque": 0.1,
     "PeriodicForce": 0.1,
     "BaseVibration": 0.06,
+    "Tether": 0.03,
+    "Attraction": 0.03,
     "PayloadMass": 0.08,
     "TorqueSpeedLimit": 0.5,
     "StribeckFriction": 0.06,

@@ -8,6 +8,7 @@ from det2stoc_bayes.blind.laws.hard_stop import STOP_LAWS
 from det2stoc_bayes.blind.laws.immersed import IMMERSED_LAWS
 from det2stoc_bayes.blind.laws.joint import JOINT_LAWS
 from det2stoc_bayes.blind.laws.sensor import SENSOR_LAWS
+from det2stoc_bayes.blind.laws.strings import STRING_LAWS
 from det2stoc_bayes.blind.laws.world import WORLD_LAWS
 
 INTEGRATION = "numerical_integration"  # what the believed model does wrong, not what reality does besides
@@ -16,6 +17,7 @@ LAWS: dict[str, Law] = {
     **STOP_LAWS,
     **BODY_LAWS,
     **IMMERSED_LAWS,
+    **STRING_LAWS,
     **WORLD_LAWS,
     **FRAME_LAWS,
     **ACTUATOR_LAWS,

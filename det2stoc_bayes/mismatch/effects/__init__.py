@@ -3,6 +3,7 @@
 from det2stoc_bayes.mismatch.effects import (
     actuator,
     added_mass,
+    attraction,
     base_vibration,
     body,
     buoyancy,
@@ -11,8 +12,10 @@ from det2stoc_bayes.mismatch.effects import (
     inertia,
     joint,
     periodic,
+    rotating_frame,
     sensor,
     simulator,
+    tether,
     world,
 )
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Element, PlacedEffect, Typical
@@ -37,6 +40,8 @@ CATALOGUE: dict[str, Effect] = {
         body.MagnusLift(),
         buoyancy.Buoyancy(),
         added_mass.AddedMass(),
+        tether.Tether(),
+        attraction.Attraction(),
         inertia.PayloadMass(),
         inertia.MassError(),
         inertia.ComOffset(),
@@ -45,6 +50,7 @@ CATALOGUE: dict[str, Effect] = {
         world.GravityError(),
         world.SteadyWind(),
         periodic.PeriodicWind(),
+        rotating_frame.RotatingFrame(),
         base_vibration.BaseVibration(),
         actuator.ActuatorDelay(),
         actuator.ActuatorLag(),

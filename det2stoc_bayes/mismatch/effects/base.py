@@ -157,7 +157,11 @@ class Effect:
         raise NotImplementedError
 
     def body_force(self, p: Mapping[str, Array], s: BodyState, xp: Any) -> Array:
-        """World-frame force (..., 3) at the body's centre of mass."""
+        """World-frame force (..., 3) at the body's centre of mass; of the world, on each of its bodies."""
+        raise NotImplementedError
+
+    def body_torque(self, p: Mapping[str, Array], s: BodyState, xp: Any) -> Array:
+        """World-frame torque (..., 3) beside `body_force`."""
         raise NotImplementedError
 
     def control(self, p: Mapping[str, Array], u: Array, t: Array, dt: Array, xp: Any) -> Array:

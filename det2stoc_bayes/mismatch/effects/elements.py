@@ -57,6 +57,8 @@ class Typical:
     command: float = 1.0
     reach: tuple[float, float] = (-1.0, 1.0)
     density: float = 0.0  # of the fluid around a body
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of a body, in the middle
+    way: float = 1.0  # m, root mean square distance of a body from there
     duration: float = 1.0  # s, the longest recording's
     sampling: float = 0.01  # s between samples
     timestep: float = 0.002
@@ -94,7 +96,8 @@ class JointState:
 class BodyState:
     """World-frame velocity of a body's centre of mass (..., 3), angular velocity (..., 3), time, and its geoms.
 
-    `shapes`: mjtGeom of each geom; `sizes` (..., geoms, 3).
+    `shapes`: mjtGeom of each geom; `sizes` (..., geoms, 3). `position` (..., 3) of the centre of mass; mass and inertia
+    (..., 3, 3) about it, along the world's axes.
     """
 
     velocity: Array
@@ -102,6 +105,9 @@ class BodyState:
     spin: Array = 0.0
     shapes: tuple[int, ...] = ()
     sizes: Array = 0.0
+    position: Array = 0.0
+    mass: Array = 0.0
+    inertia: Array = 0.0
 
 
 def transmitted(drive, q, v, xp):

@@ -1,0 +1,67 @@
+"""A pull towards a point in space, as of a magnet or a mass."""
+
+from itertools import product
+
+import numpy as np
+
+from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, normal
+from det2stoc_bayes.mismatch.effects.body import BodyEffect
+
+WIDE = 2.0  # spreads of the body's own places, as far as points in space are looked for
+DISTANCES = (1.5, 4.0)  # spreads at which the first ones are
+DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, d)) in (1, 3)])
+TINY = 1e-12  # m2: a body in the point itself is not thrown away
+
+
+class PointEffect(BodyEffect):
+    """A force that depends on where a body is; the last parameter is a point in space."""
+
+    complexity = 4
+
+    def from_normal(self, z, typical, xp=np):
+        """Points about where the body is, in spreads of its places."""
+        *_, point = self.parameters
+        first = len(self.parameters) - 1
+        priors = self.priors(typical)
+        out = {p.name: priors[p.name].from_normal(z[i], xp) for i, p in enumerate(self.parameters[:-1])}
+        parts = [typical.place[i] + WIDE * typical.way * z[first + i] for i in range(3)]
+        return {**out, point.name: xp.stack(parts, -1)}
+
+    def to_normal(self, values, typical):
+        """Inverse of `from_normal`."""
+        *others, point = self.parameters
+        priors = self.priors(typical)
+        z = [float(priors[p.name].to_normal(np.asarray(values[p.name], float))) for p in others]
+        return np.array([*z, *(np.asarray(values[point.name]) - typical.place) / (WIDE * typical.way)])
+
+    def combine(self, trial, coefficients, typical):
+        """The trial's own point, its first parameter scaled."""
+        first = self.parameters[0].name
+        return {**trial.columns[0], first: trial.columns[0][first] * float(coefficients[0])}
+
+
+class Attraction(PointEffect):
+    """Towards a centre, falling with the square of the distance."""
+
+    name, law_text, noun = "attraction", "-S r/abs(r)^3", "An attraction"
+    law = r"-S\,\mathbf r/|\mathbf r|^3"
+    parameters = (EffectParameter("strength", "N m2", positive=True), EffectParameter("centre", "m", size=3))
+
+    def priors(self, typical):
+        """At a distance of the body's own spread a fraction of the typical force."""
+        return {"strength": normal(0.3 * typical.force * typical.way**2), "centre": normal(WIDE * typical.way)}
+
+    def trials(self, typical):
+        """A few centres around the body."""
+        strength = 0.003 * typical.force * typical.way**2
+        return [
+            Trial(({"strength": strength, "centre": tuple(typical.place + d * typical.way * direction)},))
+            for d in DISTANCES
+            for direction in DIRECTIONS
+        ]
+
+    def body_force(self, p, s, xp):
+        """By the distance of the centre of mass."""
+        from_centre = s.position - p["centre"]
+        square = xp.sum(from_centre**2, -1, keepdims=True) + TINY
+        return -p["strength"][..., None] * from_centre / square**1.5

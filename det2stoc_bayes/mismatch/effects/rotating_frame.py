@@ -1,0 +1,54 @@
+"""A frame that turns: what is told relative to it feels Coriolis and centrifugal forces."""
+
+import numpy as np
+
+from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, normal, unit_columns
+
+FULL = 2.0  # prior scale of a coefficient whose column stands at full size
+SIZES = (0.3, 1.0)  # of the prior scale, at which the centrifugal force is looked at
+
+
+class RotatingFrame(Effect):
+    """The world turns about its origin; gravity stays with it."""
+
+    name, kind, noun = "rotating_frame", "world", "A turning of the frame"
+    law = r"-2m\,\boldsymbol\Omega\times\mathbf v - m\,\boldsymbol\Omega\times(\boldsymbol\Omega\times\mathbf x)"
+    law_text = "-2 m W x v - m W x (W x r)"
+    parameters = (EffectParameter("rate", "rad/s", size=3),)
+    complexity = 2
+
+    def priors(self, typical):
+        """A turn in some seconds."""
+        return {"rate": normal(1.0)}
+
+    def trials(self, typical):
+        """Slow, where the Coriolis force is alone; and each axis fast, where the centrifugal force tells no sign."""
+        fast = [tuple(size * axis) for axis in np.eye(3) for size in SIZES]
+        return [
+            Trial(unit_columns(self.parameters[0], 0.01)),
+            *[Trial(({"rate": f},), FULL, one_sided=True) for f in fast],
+        ]
+
+    def combine(self, trial, coefficients, typical):
+        """Slow rates add up; a fast one's square is in proportion."""
+        if len(trial.columns) == 1:
+            return {"rate": np.asarray(trial.columns[0]["rate"]) * np.sqrt(max(float(coefficients[0]), 0.0))}
+        return {"rate": 0.01 * np.asarray(coefficients, float)}
+
+    def body_force(self, p, s, xp):
+        """On the centre of mass."""
+        rate = p["rate"]
+        felt = 2 * xp.cross(rate, s.velocity) + xp.cross(rate, xp.cross(rate, s.position))
+        return -s.mass[..., None] * felt
+
+    def body_torque(self, p, s, xp):
+        """About it: what its own spin and the frame's make of its inertia."""
+        rate, spin = p["rate"], s.spin
+        carried, own = times(s.inertia, rate, xp), times(s.inertia, spin, xp)
+        turned = times(s.inertia, xp.cross(spin, rate), xp)
+        return turned - xp.cross(spin, carried) - xp.cross(rate, own) - xp.cross(rate, carried)
+
+
+def times(matrix, vector, xp):
+    """Matrix (..., 3, 3) times vector (..., 3)."""
+    return xp.sum(matrix * vector[..., None, :], -1)
