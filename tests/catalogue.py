@@ -21,6 +21,9 @@ VALUES: dict[str, dict] = {
     "Armature": {"inertia": 0.05},
     "CoggingTorque": {"amplitude": 0.3, "cycles": 9.0, "phase": 0.4},
     "PeriodicForce": {"amplitude": 0.4, "frequency": 2.5, "phase": 0.4},
+    "Backlash": {"gap": 0.1},
+    "Hysteresis": {"force": 0.3, "stiffness": 6.0},
+    "Coupling": {"ratio": 0.8, "stiffness": 4.0, "damping": 0.1},
     "HardStop": {"position": 0.25},
     "LinearDrag": {"coefficient": 0.6},
     "QuadraticDrag": {"coefficient": 0.6},
@@ -69,4 +72,5 @@ def place_form(model: mujoco.MjModel, form: str, typical: Typical | None = None)
     }[effect.kind]()
     if effect.needs == {"loose"}:  # whatever MuJoCo took for granted when this test's model was compiled
         found = [replace(e, traits=e.traits | {"loose"}) for e in found]
-    return PlacedEffect(effect, [e for e in found if effect.fits(e)][-1], Typical() if typical is None else typical)
+    element = effect.places([e for e in found if effect.fits(e)][-1], found)[0]
+    return PlacedEffect(effect, element, Typical() if typical is None else typical)

@@ -27,7 +27,10 @@ IMITATORS = (
     # losses in proportion to speed, and its square
     "viscous_damping linear_drag torque_speed_limit actuator_lag",
     "quadratic_damping quadratic_drag linear_drag steady_wind",
-    "coulomb_friction stribeck_friction load_dependent_friction",
+    "coulomb_friction stribeck_friction load_dependent_friction hysteresis backlash",
+    "coupling joint_spring viscous_damping",
+    "hard_stop joint_spring cubic_stiffness",
+    "backlash actuator_dead_zone actuator_gain",
     # when things happen
     "actuator_delay actuator_lag sensor_delay clock_skew",
     # what a motor can deliver

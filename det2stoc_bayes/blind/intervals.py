@@ -30,7 +30,7 @@ def compare_parameters(truth: Json, given: Json, judged: Mapping[str, list[int]]
 
     Errors and widths are relative to the change from no effect; a vector's to its length.
     """
-    given, covered, size = _positive_amplitude(given), [], None
+    given, covered, size = _alike_amplitude(given, truth.get("amplitude")), [], None
     for key, value in truth.items():
         if key in ("timestep", "integrator"):  # any that converges is right
             continue
@@ -78,12 +78,20 @@ def _part(estimate: Any, index: int) -> tuple[float, float, float] | None:
     return mean[index], *interval[index]
 
 
-def _positive_amplitude(given: Json) -> Json:
-    """A sin(x + phase) with A < 0 is -A sin(x + phase + pi)."""
-    amplitude, phase = given.get("amplitude"), given.get("phase")
-    first, second = _part(amplitude, 0), _part(phase, 0)
-    if first is None or second is None or first[0] >= 0.0:
+def _alike_amplitude(given: Json, truth: float | list[float] | None) -> Json:
+    """A sin(x + phase) with A on the other side is -A sin(x + phase + pi)."""
+    true = truth if isinstance(truth, list) else [truth]
+    parts, second = [_part(given.get("amplitude"), i) for i in range(len(true))], _part(given.get("phase"), 0)
+    told = [part for part in parts if part is not None]
+    if (
+        second is None
+        or len(told) < len(true)
+        or sum((v or 0.0) * m for v, (m, *_) in zip(true, told, strict=True)) >= 0
+    ):
         return given
-    flipped = {"mean": -first[0], "interval": [-first[2], -first[1]]}
+    means, bounds = [-m for m, _, _ in told], [[-high, -low] for _, low, high in told]
+    flipped = (
+        {"mean": means, "interval": bounds} if isinstance(truth, list) else {"mean": means[0], "interval": bounds[0]}
+    )
     turned = {"mean": second[0] + math.pi, "interval": [second[1] + math.pi, second[2] + math.pi]}
     return {**given, "amplitude": flipped, "phase": turned}

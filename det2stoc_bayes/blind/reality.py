@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -35,11 +36,29 @@ class _World:
                 law.prepare(model, e.element, e.parameters)
         mujoco.mj_setConst(model, mujoco.MjData(model))
         self.data = mujoco.MjData(model)
-        self.forces = [law.push(model, e.element, e.parameters) for law, e in laws if law.push is not None]
+        self.forces: list[Any] = [law.push(model, e.element, e.parameters) for law, e in laws if law.push is not None]
         self.mappings = [
             law.receive(model, model.actuator(e.element).id, e.parameters) for law, e in laws if law.receive is not None
         ]
         self.skew = float(np.prod([e.parameters["ratio"] for e in effects if e.name == "clock_skew"]))
+
+        self.settling = [force for force in self.forces if hasattr(force, "settle")]
+
+    @property
+    def past(self) -> list[Any]:
+        """What forces with memory keep."""
+        return [force.kept for force in self.settling]
+
+    @past.setter
+    def past(self, kept: Sequence[Any]) -> None:
+        for force, value in zip(self.settling, kept, strict=True):
+            force.kept = value
+
+    def settle(self, state: np.ndarray) -> None:
+        """A step ends in this state."""
+        self.data.qpos[:] = state[: self.model.nq]
+        for force in self.settling:
+            force.settle(self.data)
 
     def evaluate(self, state: np.ndarray, t: float, u: np.ndarray) -> None:
         """mj_forward in this state at this true time; laws know time by the recorded clock."""
@@ -83,14 +102,14 @@ def simulate_reality(
             delay[names.index(effect.element)] += effect.parameters["delay"]
     stops = np.concatenate([[true[0] - PREROLL], true, *(true - d for d in np.unique(delay[delay > 0.0]))])
     signals = Signals(world.model, effects, true, commands, stops)
-    states = _integrate(world, start, signals, system.timestep / finer)
+    states, pasts = _integrate(world, start, signals, system.timestep / finer)
     read = _reader(system, world.model)
     at = [np.searchsorted(signals.edges, true - d - 1e-8) for d in delay]
     columns = np.full((times.size, len(names)), np.nan)
     for edge in np.unique(np.concatenate([*at, np.searchsorted(signals.edges, true - 1e-8)])):
         if np.isfinite(states[edge]).all():
             if world.model.nsensor:
-                t = float(signals.edges[edge])
+                t, world.past = float(signals.edges[edge]), pasts[edge]
                 world.evaluate(states[edge], t, signals.at(edge, t))
             values = read(states[edge], world.data)
             for c, where in enumerate(at):
@@ -103,11 +122,13 @@ def simulate_reality(
     return Run(columns, states[np.searchsorted(signals.edges, true - 1e-8)])
 
 
-def _integrate(world: _World, start: np.ndarray, signals: Signals, largest: float) -> np.ndarray:
-    """True states at the edges."""
+def _integrate(world: _World, start: np.ndarray, signals: Signals, largest: float) -> tuple[np.ndarray, list]:
+    """True states at the edges, and what forces with memory keep there."""
     advance = _advance(world.model)
     states = np.full((signals.edges.size, start.size), np.nan)
     states[0] = state = start.copy()
+    world.settle(state)
+    pasts = [world.past]
     for piece in range(signals.edges.size - 1):
         t, duration = signals.edges[piece], signals.edges[piece + 1] - signals.edges[piece]
         count = max(1, math.ceil(duration / largest - 1e-6))
@@ -119,11 +140,13 @@ def _integrate(world: _World, start: np.ndarray, signals: Signals, largest: floa
             k3 = world.rate(advance(state, h * (k2 - k1 / 3.0)), late, signals.at(piece, late))
             k4 = world.rate(advance(state, h * (k1 - k2 + k3)), t + h, signals.at(piece, t + h))
             state = advance(state, (h / 8.0) * (k1 + 3.0 * (k2 + k3) + k4))
+            world.settle(state)
             t += h
+        pasts.append(world.past)
         if not np.abs(state).max() < DIVERGED:
             break
         states[piece + 1] = state
-    return states
+    return states, pasts
 
 
 def _advance(model: mujoco.MjModel) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

@@ -130,6 +130,7 @@ class _Problem:
             (e, key, i)
             for e, effect in enumerate(self.rivals)
             for key, value in effect.parameters.items()
+            if not isinstance(value, str)
             for i in (range(len(value)) if isinstance(value, list) else (None,))
         ]
         first = [_entry(self.rivals[e].parameters[key], i) for e, key, i in self.places]

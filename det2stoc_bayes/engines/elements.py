@@ -35,7 +35,9 @@ def joint_elements(model: mujoco.MjModel, reached: Mapping[str, tuple[float, flo
         if joint.name and int(model.jnt_type[j]) in (HINGE, SLIDE):
             on_it = tuple(a for a in range(len(model.actuator_trntype)) if _joint_of(model, a) == j)
             driven = bool(on_it) and all(_in_closed_form(model, a) for a in on_it)
-            traits, rest = frozenset({"driven"} if driven else ()), float(model.qpos0[model.jnt_qposadr[j]])
+            held = any(model.actuator_biasprm[a, 1] < 0 for a in on_it)
+            traits = frozenset(t for t, on in (("driven", driven), ("held", held)) if on)
+            rest = float(model.qpos0[model.jnt_qposadr[j]])
             reach = reached.get(joint.name, (rest, rest))
             found.append(_on_joint(model, j, "joint", joint.name, actuators=on_it, traits=traits, reach=reach))
     return found

@@ -87,14 +87,15 @@ class Simulation:
 
         def advance(state, u):
             state, sensors = self._stepper.advance(model, parameters, state, u)
-            return state, (*state[:3], sensors)
+            return state, (*state[:3], state[6], sensors)
 
         ctrl = self._arriving(model, parameters, commands.each, stamps[0] - num_before * self.dt)
-        first = (*start, jnp.zeros_like(qvel), stamps[0], qvel)
+        anchors = self._stepper.first_anchors(start[0])
+        first = (*start, jnp.zeros_like(qvel), stamps[0], qvel, anchors)
         _, (*states, sensors) = jax.lax.scan(advance, first, ctrl[num_before:])
         # Sensor values describe the state before the step; the last step is there for them alone.
-        states = [jnp.concatenate([a[None], b[:-1]]) for a, b in zip(start, states, strict=True)]
-        series = dict(zip(_SERIES, (*states, sensors), strict=True))
+        states = [jnp.concatenate([a[None], b[:-1]]) for a, b in zip((*start, anchors), states, strict=True)]
+        series = dict(zip(_SERIES, (*states[:3], sensors), strict=True)) | {"anchors": states[3]}
         at = (stamps - stamps[0]) / self.dt
         bends = self._bends(model, parameters, series, stamps, commands, num_before)
         columns = self._read(series, bends, stamps, parameters)
@@ -128,6 +129,7 @@ class Simulation:
             shorter = model.tree_replace({"opt.timestep": model.opt.timestep * s})
             state = tuple(series[name][k] for name in _SERIES[:3])
             state = (*state, jnp.zeros_like(state[1]), stamps[0] + k * self.dt, series["qvel"][jnp.maximum(k - 1, 0)])
+            state = (*state, series["anchors"][k])
             state, _ = self._stepper.advance(shorter, parameters, state, u, s)
             sensors = (
                 self._stepper.advance(shorter, parameters, state, v)[1] if self._sensors else series["sensordata"][k]

@@ -3,6 +3,7 @@
 import contextlib
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -37,11 +38,15 @@ class Stepper:
             int(v) + {0: 3, 1: 0}[int(k)] for k, v in zip(model.jnt_type, model.jnt_dofadr, strict=True) if k < 2
         ]
         self._forced = [i for i, e in enumerate(effects) if not in_fields(e) and e.effect.uses("joint_force")]
+        self._remembering = [i for i in self._forced if effects[i].effect.uses("anchor")]
         self._momentary = [i for i, e in enumerate(effects) if e.effect.writes]
         self._pushed = [i for i, e in enumerate(effects) if e.effect.uses("body_force")]
 
     def advance(self, model, parameters, state, u, share=1.0):
-        """State (qpos, qvel, act, warmstart, time, speeds one step ago) after a share of a step; sensors before it."""
+        """State after a share of a step; sensors before it.
+
+        The state is qpos, qvel, act, warmstart, time, speeds one step ago and what effects remember.
+        """
         data = self.data.replace(
             qpos=state[0],
             qvel=self._turning(state[1]),
@@ -52,10 +57,28 @@ class Stepper:
         )
         lead = self._lead * share
         middle = data.qvel + 0.5 * share * (state[1] - state[5]) if self._lead else data.qvel
-        after, sensors = self._step(model, data, parameters, middle, lead)
+        anchors = self._anchors(data, parameters, middle, lead, state[6])
+        after, sensors = self._step(model, data, parameters, middle, lead, anchors)
         # Time is the recorded clock's, whatever a step of it lasts.
-        state = (after.qpos, after.qvel, after.act, after.qacc_warmstart, state[4] + self.dt * share, state[1])
+        state = (after.qpos, after.qvel, after.act, after.qacc_warmstart, state[4] + self.dt * share, state[1], anchors)
         return state, sensors
+
+    def first_anchors(self, qpos):
+        """What effects with memory remember at a start."""
+        return jnp.stack([qpos[self.effects[i].element.qpos] for i in self._remembering] or [jnp.zeros(())])
+
+    def _anchors(self, d, parameters, middle, lead, past):
+        """What they remember as a step begins."""
+        found = [
+            self.effects[i].effect.anchor(
+                parameters[i], self._motion(d, self.effects[i].element, middle, lead)[0], a, jnp
+            )
+            for i, a in zip(self._remembering, past, strict=False)
+        ]
+        return jnp.stack(found) if found else past
+
+    def _motion(self, d, at, middle, lead):
+        return d.qpos[at.qpos] + lead * 0.5 * (d.qvel + middle)[at.dof], middle[at.dof]
 
     def _turning(self, qvel: Float[Array, " nv"]) -> Float[Array, " nv"]:
         for v in self._spins:
@@ -63,7 +86,7 @@ class Stepper:
             qvel = qvel.at[v : v + 3].add(jnp.where(jnp.all(jnp.abs(spin) < SLOW_SPIN), SLOW_SPIN, 0.0))
         return qvel
 
-    def _step(self, m, d, parameters, middle, lead):
+    def _step(self, m, d, parameters, middle, lead, anchors):
         """As mj_step; effects' forces are held over the step, those that are damping in MuJoCo linearized.
 
         `middle`: speeds where the forces are taken, `lead` seconds on, as the last step's change foretells them.
@@ -71,7 +94,7 @@ class Stepper:
         m = self._now(m, d, parameters, middle, lead)
         d = mjx.fwd_position(m, d)
         d = mjx.sensor_pos(m, d) if self._sensors else d
-        m, d = self._joint_forces(m, d, parameters, middle, lead)
+        m, d = self._joint_forces(m, d, parameters, middle, lead, anchors)
         d = mjx.fwd_velocity(m, d)
         d = mjx.sensor_vel(m, d) if self._sensors else d
         d = self._body_forces(m, d, parameters, middle, lead)
@@ -100,25 +123,32 @@ class Stepper:
         given = None
         if at.actuators:
             given = drive.drive_of(self._kinds, at, lambda name: field_of(m, name), d.ctrl, d.act, jnp)
-        way = lead * 0.5 * (d.qvel + middle)[at.dof]
-        return JointState(d.qpos[at.qpos] + way, middle[at.dof], time, given)
+        other = None
+        if at.source:
+            from_there = replace(at, qpos=at.source_qpos, dof=at.source_dof)
+            other = JointState(*self._motion(d, from_there, middle, lead), time)
+        return JointState(*self._motion(d, at, middle, lead), time, given, other)
 
-    def _joint_forces(self, m, d, parameters, middle, lead):
+    def _joint_forces(self, m, d, parameters, middle, lead, anchors):
         force, damping = d.qfrc_applied, m.dof_damping
         for i in self._forced:
             effect, at = self.effects[i].effect, self.effects[i].element
             # Where MuJoCo has it as damping, it follows the speed within a step by itself.
             v = d.qvel[at.dof] if effect.changes else middle[at.dof]
-            q = d.qpos[at.qpos] + lead * 0.5 * (d.qvel + middle)[at.dof]
+            state = self._joint_state(m, d, at, middle, lead)
+            if i in self._remembering:
+                state = replace(state, anchor=anchors[self._remembering.index(i)])
 
-            def law(v, effect=effect, p=parameters[i], q=q):
-                return effect.joint_force(p, JointState(q, v, d.time + lead), jnp)
+            def law(v, effect=effect, p=parameters[i], state=state):
+                return effect.joint_force(p, replace(state, v=v), jnp)
 
             value = law(v)
             if effect.changes:  # MuJoCo treats it as damping, implicitly: its slope joins the damping
                 slope = jax.jvp(law, (v,), (jnp.ones_like(v),))[1]
                 damping, value = damping.at[at.dof].add(-slope), value - slope * v
             force = force.at[at.dof].add(value)
+            if at.source:
+                force = force.at[at.source_dof].add(effect.reaction(parameters[i], state, jnp))
         return m.replace(dof_damping=damping), d.replace(qfrc_applied=force)
 
     def _body_forces(self, m, d, parameters, middle, lead):

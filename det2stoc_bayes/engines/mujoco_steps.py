@@ -1,6 +1,7 @@
 """Single steps of a batch, with forces and model fields that depend on the state."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -47,9 +48,13 @@ class Stepper:
         self.fields = self._expanded()
         self.believed = {n: self.fields[n].copy() for e in self.momentary for n in e.placed.effect.writes}
         self.laws: dict[int, drive.DriveLaw] = {}
+        remembering = [e for e in self.forced if e.placed.effect.uses("anchor")]
+        self.anchors = {id(e): np.array(self.qpos[e.rows, e.placed.element.qpos]) for e in remembering}
+        self.history: list[dict[int, np.ndarray]] = []  # anchors of every step
 
     def _expanded(self) -> dict[str, np.ndarray]:
-        names: set[str] = set()
+        driven = any("driven" in e.placed.effect.needs for e in self.forced)
+        names: set[str] = set(drive.FIELDS) if driven else set()
         for e in self.momentary:
             names |= {*e.placed.effect.writes, *e.placed.effect.reads}
             names |= set(drive.FIELDS) if "driven" in e.placed.effect.needs else set()
@@ -69,6 +74,7 @@ class Stepper:
             self._place()
         for k in range(num_steps):
             self.prepare(commands[:, k])
+            self._keep()
             self.past[:] = self.qvel
             batch.step(stage=_NONE if apart else stage)
             self.time += self.dt
@@ -77,7 +83,19 @@ class Stepper:
             if apart:
                 self._place()
         self.prepare(commands[:, num_steps])
+        self._keep()
         return out
+
+    def _keep(self) -> None:
+        if self.anchors:
+            self.history.append(dict(self.anchors))
+
+    def _recall(self, step: Int[np.ndarray, " sims"]) -> None:
+        """Anchors as they were at a step of each simulation."""
+        for e in self.forced:
+            if id(e) in self.anchors:
+                kept = np.stack([anchors[id(e)] for anchors in self.history])
+                self.anchors[id(e)] = kept[step[e.rows], np.arange(kept.shape[1])]
 
     def part(
         self,
@@ -91,6 +109,7 @@ class Stepper:
 
         With a command for `then` all is ready for the sensors where it ended.
         """
+        self._recall(num_done)
         self._stand(past, num_done, share)
         self.prepare(command)
         past = np.array(self.qvel)
@@ -120,8 +139,13 @@ class Stepper:
         if self.momentary and self.pushed:
             self._place()  # a batch that keeps its stages would step with the fields before
         for e in self.forced:
-            state = self._joint_state(e)
-            self.force[e.rows, e.placed.element.dof] += e.placed.effect.joint_force(e.parameters, state, np)
+            effect, at, state = e.placed.effect, e.placed.element, self._joint_state(e)
+            if id(e) in self.anchors:
+                self.anchors[id(e)] = effect.anchor(e.parameters, state.q, self.anchors[id(e)], np)
+                state = replace(state, anchor=self.anchors[id(e)])
+            self.force[e.rows, at.dof] += effect.joint_force(e.parameters, state, np)
+            if at.source:
+                self.force[e.rows, at.source_dof] += effect.reaction(e.parameters, state, np)
         for e in self.pushed:
             for body in bodies_of(self.model, e.placed.element):
                 effect, state = e.placed.effect, self._body_state(e, body)
@@ -159,9 +183,13 @@ class Stepper:
         given = None
         if at.actuators and "driven" in e.placed.effect.needs:
             given = self._law(e)(self.ctrl[rows], self.act[rows])
-        speed = self._speeds(at.dof)[rows]
-        way = self.lead[rows] * 0.5 * (self.qvel[rows, at.dof] + speed)
-        return JointState(self.qpos[rows, at.qpos] + way, speed, time, given)
+        other = JointState(*self._motion(at.source_qpos, at.source_dof, rows), time) if at.source else None
+        return JointState(*self._motion(at.qpos, at.dof, rows), time, given, other)
+
+    def _motion(self, qpos: int, dof: int, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Position and speed where the step's forces are taken."""
+        speed = self._speeds(dof)[rows]
+        return self.qpos[rows, qpos] + self.lead[rows] * 0.5 * (self.qvel[rows, dof] + speed), speed
 
     def _law(self, e: EffectRows) -> drive.DriveLaw:
         """The law of what drives the effect's joint, found once unless some effect rewrites it at every step."""

@@ -9,9 +9,11 @@ def candidates(problem: Problem) -> list[PlacedEffect]:
     """Placed effects, with prior scales from the believed model's own simulation."""
     magnitudes = Magnitudes(problem)
     return [
-        PlacedEffect([form for form in effect.forms() if form.fits(element)][-1], element, magnitudes.of(element))
+        PlacedEffect([form for form in effect.forms() if form.fits(element)][-1], place, magnitudes.of(element))
         for effect in CATALOGUE.values()
         if effect.kind != "simulator"
-        for element in problem.simulator.elements(effect.kind, problem.segments.columns)
+        for others in [problem.simulator.elements(effect.kind, problem.segments.columns)]
+        for element in others
         if effect.fits(element)
+        for place in effect.places(element, others)
     ]

@@ -42,7 +42,11 @@ def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tr
     if effect.uses("joint_force") or (effect.uses("force_along") and "plain" in at.traits):
         inside = response.joint_states(at)
         force = np.stack([effect.force_along(p, inside).mean(-1) for p in given], -1)
-        return response.propagate(*response.forced(at.dof, force))
+        d, e = response.forced(at.dof, force)
+        if at.source:
+            back = np.stack([effect.reaction(p, inside, np).mean(-1) for p in given], -1)
+            d, e = (a + b for a, b in zip((d, e), response.forced(at.source_dof, back), strict=True))
+        return response.propagate(d, e)
     if effect.uses("friction"):
         inside = response.joint_states(at)
         size = np.stack([effect.friction(p, inside, np).mean(-1) for p in given], -1)

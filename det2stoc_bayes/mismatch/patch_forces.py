@@ -16,7 +16,7 @@ from det2stoc_bayes.mismatch.patch_runtime import (
     set_field,
 )
 
-JOINT_FORCES: tuple = ()  # (joint, law, parameters)
+JOINT_FORCES: tuple = ()  # (joint, law, parameters, what the law needs beside them)
 BODY_FORCES: tuple = ()  # (body or "world", law of the force, law of the torque or None, parameters)
 
 
@@ -104,10 +104,19 @@ def rewrite_fields(model, data):
 
 def add_joint_forces(model, data):
     """Adds to qfrc_applied, held over a step."""
-    for name, law, p in JOINT_FORCES:
-        joint = model.joint(name).id
-        dof = model.jnt_dofadr[joint]
-        data.qfrc_applied[dof] += np.asarray(law(p, joint_state(model, data, joint), np)).item()
+    for number, (name, law, p, beside) in enumerate(JOINT_FORCES):
+        joint, actuators = joint_and_actuators(model, "joint", name)
+        state = joint_state(model, data, joint)
+        if "driven" in beside:
+            state.drive = drive_of(model, data, joint, actuators)
+        if "anchor" in beside:
+            anchors, begin = memory_of(model, data).anchors, data.qpos[model.jnt_qposadr[joint]]
+            state.anchor = anchors[number] = beside["anchor"](p, state.q, anchors.get(number, begin), np)
+        if "source" in beside:
+            other = model.joint(beside["source"]).id
+            state.source = joint_state(model, data, other)
+            data.qfrc_applied[model.jnt_dofadr[other]] += np.asarray(beside["reaction"](p, state, np)).item()
+        data.qfrc_applied[model.jnt_dofadr[joint]] += np.asarray(law(p, state, np)).item()
 
 
 def add_body_forces(model, data):

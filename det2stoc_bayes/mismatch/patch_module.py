@@ -21,7 +21,7 @@ CLOCK = "opt.timestep"  # an effect that changes it makes the recorded clock ano
 _COLUMNS = ("measure", "at_time", "arrays", "place_of")
 _MIDDLE = ("lead_of", "remember_speed", "middle_speed", "follow")
 _SERVED: dict[str, tuple[str, tuple[str, ...]]] = {
-    "joint_force": ("JOINT_FORCES", ("add_joint_forces", "joint_state", *_MIDDLE)),
+    "joint_force": ("JOINT_FORCES", ("add_joint_forces", "joint_and_actuators", "joint_state", "drive_of", *_MIDDLE)),
     "body_force": ("BODY_FORCES", ("add_body_forces", "body_state", "copy_state", *_MIDDLE)),
     "clock": ("CLOCKS", ("keep_clock",)),
     "momentary": (
@@ -113,6 +113,8 @@ def _row(placed: PlacedEffect, values: Values, hook: str, laws: "_Laws", constan
         row = [repr(placed.element.kind), *row, repr(placed.effect.writes), repr(placed.effect.reads)]
     if hook == "body_force":
         row.insert(2, laws.add(placed.effect, "body_torque") if placed.effect.uses("body_torque") else "None")
+    if hook == "joint_force":
+        row.append(laws.beside(placed))
     if hook == "control":
         row.append(repr(placed.effect.memory(given)))
     return f"({', '.join(row)})"
@@ -132,6 +134,14 @@ class _Laws:
             function = getattr(type(effect), hook)
             self.sources[name] = self._plain(function, name, effect)
         return name
+
+    def beside(self, placed: PlacedEffect) -> str:
+        """What a force on a joint needs beside its position, as a dictionary's text."""
+        effect, source = placed.effect, placed.element.source
+        given = {"driven": "True"} if "driven" in effect.needs else {}
+        given |= {"anchor": self.add(effect, "anchor")} if effect.uses("anchor") else {}
+        given |= {"source": repr(source), "reaction": self.add(effect, "reaction")} if source else {}
+        return "{" + ", ".join(f'"{key}": {text}' for key, text in given.items()) + "}"
 
     def _plain(self, function: Callable, name: str, effect: Effect | None) -> str:
         function = inspect.unwrap(function)

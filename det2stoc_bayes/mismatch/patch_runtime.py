@@ -22,7 +22,7 @@ class Memory:
 
     def __init__(self, model):
         self.model, self.scratch, self.time = model, mujoco.MjData(model), None
-        self.commands, self.states, self.speeds = [], [], []
+        self.commands, self.states, self.speeds, self.anchors = [], [], [], {}
 
 
 MEMORIES = WeakKeyDictionary()

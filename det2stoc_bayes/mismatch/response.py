@@ -225,7 +225,10 @@ class Response:
         key = (at.qpos, at.dof, at.actuators)
         if key not in self._inside:
             self._inside[key] = self._joint_states(at)
-        return self._inside[key]
+        if not at.source:
+            return self._inside[key]
+        source = Element("joint", at.source, dof=at.source_dof, qpos=at.source_qpos)
+        return replace(self._inside[key], source=self.joint_states(source))
 
     def _joint_states(self, at: Element) -> JointState:
         time = self.problem.segments.time

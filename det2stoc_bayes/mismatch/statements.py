@@ -36,11 +36,12 @@ def quantity(values: Float[np.ndarray, "draws *components"], unit: str, *, circu
     )
 
 
-def parameters(fit: Fit, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Quantity]:
-    """An effect's parameters from draws of a fit's unknowns."""
+def parameters(fit: Fit, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Parameter]:
+    """An effect's parameters from draws of a fit's unknowns; a coupling's source by its name."""
     slot = list(fit.problem.effects).index(placed)
     values = fit.problem.effect_values(z)[slot]
-    return {
+    source: dict[str, finding.Parameter] = {"source": placed.element.source} if placed.element.source else {}
+    return source | {
         p.name: quantity(values[p.name], p.unit_on(placed.element), circular=p.name == "phase")
         for p in placed.effect.parameters
     }
@@ -62,12 +63,13 @@ def _rounded(mean, sd) -> str:
     return f"{mean:z.{digits}f} +- {sd:.{digits}f}"
 
 
-def statement(placed: PlacedEffect, values: Mapping[str, finding.Quantity], equivalent: tuple[str, ...]) -> str:
+def statement(placed: PlacedEffect, values: Mapping[str, finding.Parameter], equivalent: tuple[str, ...]) -> str:
     """What is missing, where and how much, in a sentence."""
     effect = placed.effect
-    sizes = ", ".join(f"{name.replace('_', ' ')} {rounded(q)}" for name, q in values.items())
+    said = {name: q if isinstance(q, str) else rounded(q) for name, q in values.items()}
+    sizes = ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in said.items())
     if len(values) == 1:
-        sizes = rounded(next(iter(values.values())))
+        sizes = next(iter(said.values()))
     equally = f" (or equally {', '.join(equivalent)})" if equivalent else ""
     word = effect.noun or effect.name.replace("_", " ").capitalize()
     verb = "is missing" if effect.kind not in ("sensor", "actuator") else "was left out"

@@ -144,6 +144,32 @@ def late(u, t):
     return np.interp(t[-1] - VALUES["ActuatorDelay"]["delay"], t, u)
 
 
+def loose(m, d):
+    error, speed = d.ctrl[SERVO] - d.qpos[ELBOW], d.qvel[ELBOW]
+    wanted = 8 * error - 0.3 * speed  # the servo's, of which the gap takes up to half its width
+    d.qfrc_applied[ELBOW] = -np.sign(wanted) * min(abs(wanted), 8 * 0.05)
+
+
+def coupled(m, d):
+    apart, faster = d.qpos[ELBOW] - 0.8 * d.qpos[0], d.qvel[ELBOW] - 0.8 * d.qvel[0]
+    pull = 4.0 * apart + 0.1 * faster
+    d.qfrc_applied[:] = [0.8 * pull, -pull]
+
+
+class Jenkins:
+    """A spring's force by its increments, cut off at the largest."""
+
+    def __init__(self):
+        self.before, self.now = None, 0.0
+
+    def __call__(self, q, v, t):
+        if t == 0.0:
+            self.before, self.now = q, 0.0
+        self.now = min(max(self.now - 6.0 * (q - self.before), -0.3), 0.3)
+        self.before = q
+        return self.now
+
+
 def stribeck(m, d):
     v = d.qvel[ELBOW]
     m.dof_frictionloss[ELBOW] = 0.15 + (0.4 - 0.15) * np.exp(-((v / 0.6) ** 2))
@@ -218,6 +244,9 @@ LAWS = {
     "CoggingTorque": force(lambda q, v, t: 0.3 * np.sin(9 * q + 0.4)),
     "PeriodicForce": force(lambda q, v, t: 0.4 * np.sin(2 * np.pi * 2.5 * t + 0.4)),
     "HardStop": {"edit": stopped},
+    "Backlash": rewrite(loose),
+    "Hysteresis": force(Jenkins()),
+    "Coupling": rewrite(coupled),
     "LinearDrag": push(lambda v, w: -0.6 * v),
     "QuadraticDrag": push(lambda v, w: -0.6 * np.linalg.norm(v) * v),
     "SizedDrag": push(lambda v, w: -0.5 * 1.2 * AREA * 20 * np.linalg.norm(v) * v),

@@ -7,6 +7,7 @@ from det2stoc_bayes.blind.laws.frame import FRAME_LAWS
 from det2stoc_bayes.blind.laws.hard_stop import STOP_LAWS
 from det2stoc_bayes.blind.laws.immersed import IMMERSED_LAWS
 from det2stoc_bayes.blind.laws.joint import JOINT_LAWS
+from det2stoc_bayes.blind.laws.mechanism import MECHANISM_LAWS
 from det2stoc_bayes.blind.laws.sensor import SENSOR_LAWS
 from det2stoc_bayes.blind.laws.strings import STRING_LAWS
 from det2stoc_bayes.blind.laws.world import WORLD_LAWS
@@ -15,6 +16,7 @@ INTEGRATION = "numerical_integration"  # what the believed model does wrong, not
 LAWS: dict[str, Law] = {
     **JOINT_LAWS,
     **STOP_LAWS,
+    **MECHANISM_LAWS,
     **BODY_LAWS,
     **IMMERSED_LAWS,
     **STRING_LAWS,

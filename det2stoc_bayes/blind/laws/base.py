@@ -87,7 +87,9 @@ class Law:
 
 
 def rounded(value: Any) -> Any:
-    """Four significant digits, within lists too."""
+    """Four significant digits, within lists too; a name as it is."""
+    if isinstance(value, str):
+        return value
     return [rounded(v) for v in value] if isinstance(value, list | tuple | np.ndarray) else float(f"{value:.4g}")
 
 

@@ -89,6 +89,10 @@ class Effect:
         """All forms of the effect, which differ in their parameters; the last one that fits an element is used."""
         return (self,)
 
+    def places(self, element: Element, others: Sequence[Element]) -> tuple[Element, ...]:
+        """The element itself, or once for each of the `others` that it may be paired with."""
+        return (element,)
+
     @property
     def size(self) -> int:
         """Number of unknowns."""
@@ -150,6 +154,14 @@ class Effect:
 
     def joint_force(self, p: Mapping[str, Array], s: JointState, xp: Any) -> Array:
         """Generalized force on the joint."""
+        raise NotImplementedError
+
+    def reaction(self, p: Mapping[str, Array], s: JointState, xp: Any) -> Array:
+        """Generalized force on the joint that `s.source` is."""
+        raise NotImplementedError
+
+    def anchor(self, p: Mapping[str, Array], q: Array, anchor: Array, xp: Any) -> Array:
+        """What `joint_force` remembers of the past, given what it was; at a start it is the position."""
         raise NotImplementedError
 
     def friction(self, p: Mapping[str, Array], s: JointState, xp: Any) -> Array:

@@ -12,10 +12,10 @@ class Element:
     """Something in the model that an effect can sit on; indices and traits are what hooks and candidates need.
 
     An actuator's dof and qpos are its joint's, if it drives one. `reach`: the least and the largest position of a joint
-    that was recorded, its rest position if none was. `traits`: driven (a joint that motors drive, an
-    actuator that drives a joint), plain (an actuator of fixed or affine law), loose (a body whose inertial frame may
-    be changed), sized (a body whose size a recording changes), fluid and wind (of the world), value and clock (of
-    what is recorded).
+    that was recorded, its rest position if none was. `traits`: driven (a joint that motors drive, an actuator that
+    drives a joint), held (a joint that a motor holds in a position), plain (an actuator of fixed or affine law), loose
+    (a body whose inertial frame may be changed), sized (a body whose size a recording changes), fluid and wind (of the
+    world), value and clock (of what is recorded).
     """
 
     kind: Kind
@@ -29,6 +29,9 @@ class Element:
     unit: str = ""  # of a sensor's column
     actuators: tuple[int, ...] = ()  # an actuator's own index, or those that drive a joint
     joint: int = -1
+    source: str = ""  # the joint that a coupling holds to
+    source_dof: int = -1
+    source_qpos: int = -1
     reach: tuple[float, float] = (0.0, 0.0)
     traits: frozenset[str] = frozenset()
 
@@ -84,12 +87,17 @@ class Drive:
 
 @dataclass(frozen=True)
 class JointState:
-    """Position, speed and time of one joint, and what drives it."""
+    """Position, speed and time of one joint, and what drives it.
+
+    `source`: the joint that a coupling holds to; `anchor`: what a law with memory remembers.
+    """
 
     q: Array
     v: Array
     t: Array
     drive: Drive | None = None
+    source: "JointState | None" = None
+    anchor: Array = None
 
 
 @dataclass(frozen=True)
