@@ -59,8 +59,8 @@ def draw_case(seed: str, kind: str, index: int, choice: Choice) -> ConcealedCase
         variants = tuple(sorted(rng.choice(options, count, replace=False).tolist()))
         number = int(rng.integers(2**31))
         try:
-            more = {"pair": kind == "pair", "control": kind == "control"}
-            return make_case(number, system=system, effect=effect, variants=variants, **more)
+            pair, control = kind == "pair", kind == "control"
+            return make_case(number, system=system, effect=effect, variants=variants, pair=pair, control=control)
         except ValueError:
             continue
     raise ValueError(f"{effect or 'an effect'}: concealed in none of {MOST_DRAWS} drawn systems")

@@ -139,7 +139,7 @@ class Stepper:
             if i in self._remembering:
                 state = replace(state, anchor=anchors[self._remembering.index(i)])
 
-            def law(v, effect=effect, p=parameters[i], state=state):
+            def law(v, effect=effect, p=parameters[i], state: Any = state):
                 return effect.joint_force(p, replace(state, v=v), jnp)
 
             value = law(v)

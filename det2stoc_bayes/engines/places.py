@@ -87,5 +87,7 @@ def places(
         derived = {name: batch.bind(name) for name in DERIVED}
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         parts.append([np.array(a) for a in derived.values()])
-    found = dict(zip(DERIVED, (np.concatenate(a) for a in zip(*parts, strict=True)), strict=True))
+    found: dict[str, np.ndarray] = dict(
+        zip(DERIVED, (np.concatenate(a) for a in zip(*parts, strict=True)), strict=True)
+    )
     return Places(model, found, {name: fields.get(name, getattr(model, name)[None]) for name in KINDS})
