@@ -36,11 +36,11 @@ def quantity(values: Float[np.ndarray, "draws *components"], unit: str, *, circu
     )
 
 
-def parameters(fit: Fit, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Parameter]:
+def parameters(fit: Fit, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Quantity | str]:
     """An effect's parameters from draws of a fit's unknowns; a coupling's source by its name."""
     slot = list(fit.problem.effects).index(placed)
     values = fit.problem.effect_values(z)[slot]
-    source: dict[str, finding.Parameter] = {"source": placed.element.source} if placed.element.source else {}
+    source: dict[str, finding.Quantity | str] = {"source": placed.element.source} if placed.element.source else {}
     return source | {
         p.name: quantity(values[p.name], p.unit_on(placed.element), circular=p.name == "phase")
         for p in placed.effect.parameters
@@ -63,7 +63,7 @@ def _rounded(mean, sd) -> str:
     return f"{mean:z.{digits}f} +- {sd:.{digits}f}"
 
 
-def statement(placed: PlacedEffect, values: Mapping[str, finding.Parameter], equivalent: tuple[str, ...]) -> str:
+def statement(placed: PlacedEffect, values: Mapping[str, finding.Quantity | str], equivalent: tuple[str, ...]) -> str:
     """What is missing, where and how much, in a sentence."""
     effect = placed.effect
     said = {name: q if isinstance(q, str) else rounded(q) for name, q in values.items()}

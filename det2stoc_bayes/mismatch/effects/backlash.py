@@ -27,7 +27,12 @@ class Backlash(JointEffect):
 
     def joint_force(self, p, s, xp):
         """What the drive gives from where it is, less what it would give at the load's position."""
-        stiffness = xp.sum(-(s.drive.gear**2) * (s.drive.gain[..., 1] * s.drive.u + s.drive.bias[..., 1]), -1)
+        stiffness = hold(s.drive, xp)
         at_load, half = transmitted(s.drive, s.q, s.v, xp), 0.5 * p["gap"]
         ahead = xp.clip(at_load / xp.maximum(stiffness, 1e-9), -half, half)
         return transmitted(s.drive, s.q + ahead, s.v, xp) - at_load
+
+
+def hold(drive, xp):
+    """How stiffly a drive holds its joint in a position."""
+    return xp.sum(-(drive.gear**2) * (drive.gain[..., 1] * drive.u + drive.bias[..., 1]), -1)

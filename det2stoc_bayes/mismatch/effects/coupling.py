@@ -52,9 +52,14 @@ class Coupling(JointEffect):
 
     def joint_force(self, p, s, xp):
         """On the joint."""
-        ratio = p["ratio"]
-        return -p["stiffness"] * (s.q - ratio * s.source.q) - p["damping"] * (s.v - ratio * s.source.v)
+        return pull(p, s, s.source)
 
     def reaction(self, p, s, xp):
         """On its source: no work is lost but the damper's."""
-        return -p["ratio"] * self.joint_force(p, s, xp)
+        return -p["ratio"] * pull(p, s, s.source)
+
+
+def pull(p, here, there):
+    """Of the spring and the damper."""
+    apart, faster = here.q - p["ratio"] * there.q, here.v - p["ratio"] * there.v
+    return -p["stiffness"] * apart - p["damping"] * faster
