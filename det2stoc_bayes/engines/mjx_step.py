@@ -139,7 +139,7 @@ class Stepper:
             if i in self._remembering:
                 state = replace(state, anchor=anchors[self._remembering.index(i)])
 
-            def law(v, effect=effect, p=parameters[i], state: Any = state):
+            def law(v, effect: Any = effect, p: Any = parameters[i], state: Any = state) -> Any:
                 return effect.joint_force(p, replace(state, v=v), jnp)
 
             value = law(v)

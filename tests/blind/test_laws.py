@@ -184,6 +184,86 @@ def test_winds_carry_along():
     np.testing.assert_allclose(push / calm, expected, atol=0.04)  # measured: 0.028, the body takes up speed
 
 
+def test_a_stop_bars_one_side():
+    position = run(joint_effect("hard_stop", position=0.3), (0.0, 1.0))[:, 0]
+    assert 0.3 < position.max() < 0.33 and position[-1] < 0.31  # MuJoCo's limit is soft
+    np.testing.assert_allclose(run(joint_effect("hard_stop", position=0.3), (0.0, -1.0))[:, 0], -SINCE, atol=1e-9)
+
+
+def test_a_floating_body_weighs_less_and_one_that_takes_fluid_along_falls_slower():
+    start = (0, 0, 0, 1, *([0] * 9))
+    lifted = recorded(FLYING, effect_on("buoyancy", "block", volume=0.5), start)[:, 9]
+    np.testing.assert_allclose(lifted, -GRAVITY * (1.0 - 1.2 * 0.5 / MASS) * SINCE, rtol=1e-9)
+    slower = recorded(FLYING, effect_on("added_mass", "block", mass=3.0), start)[:, 9]
+    np.testing.assert_allclose(slower, -GRAVITY * MASS / (MASS + 3.0) * SINCE, rtol=1e-9)
+
+
+def test_a_tether_is_slack_within_its_length():
+    tether = effect_on("tether", "block", stiffness=50.0, length=0.5, anchor=[-0.5, 0.0, 0.0])
+    taut = SINCE < 0.3  # until the block comes back to where it is slack
+    np.testing.assert_allclose(run(tether, (0.2, 0.0))[taut, 0], 0.2 * np.cos(5.0 * SINCE[taut]), atol=1e-6)
+    assert np.abs(run(tether, (-0.1, 0.0))[:, 1]).max() == 0.0
+
+
+def test_attraction_falls_with_the_square_of_the_distance():
+    columns = run(effect_on("attraction", "block", strength=3.0, centre=[4.0, 0.0, 0.0]), (0.0, 0.5))
+    energy = 0.5 * MASS * columns[:, 1] ** 2 - 3.0 / (4.0 - columns[:, 0])
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-6)
+    assert columns[-1, 1] > 0.5
+
+
+def test_what_is_at_rest_outside_turns_backwards_in_a_rotating_frame():
+    rate = 1.3
+    start = (1.0, 0, 0, 1, 0, 0, 0, 0, -rate, 0, 0, 0, -rate)
+    columns = recorded(FLYING, effect_on("rotating_frame", "world", rate=[0.0, 0.0, rate]), start)
+    circle = np.column_stack((np.cos(rate * SINCE), -np.sin(rate * SINCE)))
+    np.testing.assert_allclose(columns[:, :2], circle, atol=1e-8)
+    np.testing.assert_allclose(columns[:, -1], -rate, atol=1e-9)
+
+
+def test_a_frame_that_turns_acts_on_spins():
+    """A bar at rest outside keeps its way there: seen from inside it turns, whatever its inertia."""
+    start = (0, 0, 0, 1, 0, 0, 0, 0, 0, 0, -0.4, 0, -0.9)
+    bar = FLYING.replace('type="sphere" size="0.1"', 'type="box" size="0.3 0.1 0.05"')
+    spin = recorded(bar, effect_on("rotating_frame", "world", rate=[0.4, 0.0, 0.9]), start)[:, -3:]
+    np.testing.assert_allclose(spin, np.tile([-0.4, 0.0, -0.9], (len(spin), 1)), atol=1e-8)
+
+
+def test_a_shaking_base_leaves_what_slides_behind():
+    effect = effect_on("base_vibration", "world", amplitude=[0.02, 0.0, 0.0], frequency=1.5, phase=0.4)
+    rate = 2.0 * np.pi * 1.5
+    outside = run(effect, (0.0, 0.3))[:, 1] + 0.02 * rate * np.cos(rate * TIMES + 0.4)
+    np.testing.assert_allclose(outside, 0.3 + 0.02 * rate * np.cos(-rate * PREROLL + 0.4), atol=1e-8)
+
+
+def test_presliding_is_a_spring_until_it_slips():
+    effect = joint_effect("hysteresis", force=10.0, stiffness=200.0)
+    np.testing.assert_allclose(run(effect, (0.0, 0.2))[:, 0], 0.02 * np.sin(10.0 * SINCE), atol=1e-7)
+    speed = run(effect, (0.0, 20.0))[:, 1]
+    np.testing.assert_allclose(np.diff(speed), -10.0 / MASS * 0.01, atol=1e-9)
+
+
+def test_a_servo_with_play_leaves_its_load_alone():
+    play = joint_effect("backlash", gap=0.2)
+    assert np.abs(recorded(SERVO, play, (0.0, 0.0), 0.05)).max() == 0.0
+    pushed = recorded(SERVO, play, (0.0, 0.0), 0.3)
+    shorter = recorded(SERVO, (), (0.0, 0.0), 0.2)
+    first = SINCE < 0.3
+    np.testing.assert_allclose(pushed[first], shorter[first], atol=1e-9)
+
+
+def test_a_coupling_pulls_on_both():
+    two = FREE.replace(
+        "</worldbody>",
+        """<body name="other"><joint name="y" type="slide" axis="0 1 0"/>
+<geom type="sphere" size="0.1" mass="2"/></body></worldbody>""",
+    ).split("<actuator>")[0]
+    coupling = joint_effect("coupling", source="y", ratio=-1.0, stiffness=100.0, damping=0.0)
+    columns = recorded(two, coupling, (0.1, 0.1, 0.0, 0.0))
+    np.testing.assert_allclose(columns[:, 0] + columns[:, 1], 0.2 * np.cos(10.0 * SINCE), atol=1e-6)
+    np.testing.assert_allclose(columns[:, 0] - columns[:, 1], 0.0, atol=1e-9)
+
+
 def test_delay_shifts_and_holds_the_first_command():
     commands = np.where(TIMES < 0.5, 1.0, -1.0)
     delayed = run(effect_on("actuator_delay", "push", delay=0.123), (0.0, 0.0), commands)
