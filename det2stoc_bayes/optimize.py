@@ -14,6 +14,7 @@ from det2stoc_bayes.problem import FARTHEST, Problem
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
 STARTS = (1.0, 0.3, 0.05, 0.0)  # of the change of initial states that goes with it
 SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
+SERVES = 0.2  # of the gain that a fraction of a step promises: with so much the search ends
 NUM_CHORDS = 4  # steps with the same sensitivities
 CONTRACTION = 0.3  # of the last step's gain: a step that promises more needs new sensitivities
 NUM_RESPREADS = 8  # rounds in which the spreads of psi by recording settle
@@ -96,8 +97,9 @@ def _fit_held(
         if not todo:
             break
         moved, over = _descended(todo, tolerance, free_scale)
-        done |= over
         linear |= moved | _again({i: lin for i, lin in moved.items() if not over[i]})
+        # What keeps promising more than it gives, as friction does about rest, will not give more.
+        done |= over | {i: True for i, lin in todo.items() if _gained(lin, moved[i], free_scale) < tolerance}
     return [summarize(linear[i], free_scale, done[i]) if i in linear else None for i in range(len(points))]
 
 
@@ -173,6 +175,13 @@ def _moved(lin: Linearization, step: _Step, fraction: float, starts: Sequence[fl
     return [Point(z, lin.problem.moved(lin.point.start, share * change)) for share in starts]
 
 
+def _gained(before: Linearization, after: Linearization, free_scale: bool) -> float:
+    """What an iteration has gained, nats."""
+    square = float((before.latent.project(before.stacked) ** 2).sum())
+    s2 = noise_scale(before, square, free_scale)
+    return 0.5 * (_height(before, s2) - _height(after, s2))
+
+
 def noise_scale(lin: Linearization, chi2: float, free_scale: bool) -> float:
     """Variance ratio by which the misfit exceeds the noise, at least 1."""
     dof = max(lin.degrees_of_freedom - lin.problem.size, 1)
@@ -220,22 +229,41 @@ def most_probable(
 
 
 def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> list[Linearization | None]:
-    """The best of several fractions of each step by simulation; None where none is an improvement.
+    """The first of several fractions of each step that serves, or the best of all; None where none is an improvement.
 
     At each fraction every segment takes its own best start: one that overshoots does not hold the others back.
     """
-    tried, requests = [], []
-    for lin, step in zip(linear, steps, strict=True):
-        points = [p for fraction in (*FRACTIONS, 0.0) for p in _moved(lin, step, fraction, STARTS)]
-        tried.append(points)
-        start = Start(*(np.concatenate([getattr(p.start, a) for p in points]) for a in ("qpos", "qvel", "act")))
-        requests.append(lin.problem.request(np.stack([p.z for p in points]), start))
-    predicted = simulate([(lin.problem, lin.point) for lin in linear], requests)
-    best = []
-    for lin, step, points, p in zip(linear, steps, tried, predicted, strict=True):
-        point, at, height = _lowest(lin, points, p.reshape(len(points), -1, *p.shape[1:]), step.s2)
-        best.append(lin.about(point, at) if height < _height(lin, step.s2) else None)
+    heights = [_height(lin, step.s2) for lin, step in zip(linear, steps, strict=True)]
+    best: list[Linearization | None] = [None] * len(linear)
+    searching = list(range(len(linear)))
+    for fraction in (*FRACTIONS, 0.0):
+        points = [_moved(linear[i], steps[i], fraction, STARTS) for i in searching]
+        lowest = _lowest_of([linear[i] for i in searching], points, [steps[i].s2 for i in searching])
+        least = [heights[i] - SERVES * 2 * fraction * steps[i].gain for i in searching]
+        served = []
+        for i, enough, (point, predicted, height) in zip(searching, least, lowest, strict=True):
+            if height < (heights[i] if (there := best[i]) is None else _height(there, steps[i].s2)):
+                best[i] = linear[i].about(point, predicted)
+                served += [i] if fraction and height < enough else []
+        searching = [i for i in searching if i not in served]
+        if not searching:
+            break
     return best
+
+
+def _lowest_of(
+    linear: Sequence[Linearization], points: Sequence[Sequence[Point]], s2: Sequence[float]
+) -> list[tuple[Point, Float[np.ndarray, "segments samples columns"], float]]:
+    """For each hypothesis the best of its points, whose unknowns are one, with every segment's best start."""
+    requests = []
+    for lin, tried in zip(linear, points, strict=True):
+        start = Start(*(np.concatenate([getattr(p.start, a) for p in tried]) for a in ("qpos", "qvel", "act")))
+        requests.append(lin.problem.request(np.stack([p.z for p in tried]), start))
+    predicted = simulate([(lin.problem, lin.point) for lin in linear], requests)
+    return [
+        _lowest(lin, tried, p.reshape(len(tried), -1, *p.shape[1:]), scale)
+        for lin, tried, p, scale in zip(linear, points, predicted, s2, strict=True)
+    ]
 
 
 def _lowest(
@@ -244,19 +272,16 @@ def _lowest(
     predicted: Float[np.ndarray, "points segments samples columns"],
     s2: float,
 ) -> tuple[Point, Float[np.ndarray, "segments samples columns"], float]:
-    """The best unknowns with each segment's best start, their prediction and height."""
+    """The unknowns with each segment's best start, their prediction and height."""
     problem, count = lin.problem, lin.problem.segments.count
     r = problem.residuals(predicted.reshape(-1, *predicted.shape[2:])).reshape(len(points), count, -1)
     misfit = (problem.measurement.bend(r * problem.weight) ** 2).sum(2)
     misfit += np.stack([((tangent(problem, p.start) / problem.guess.prior_sd) ** 2).sum(1) for p in points])
     misfit[~np.isfinite(predicted).all((2, 3))] = np.inf
-    groups = misfit.reshape(-1, len(STARTS), count)
-    z = [p.z for p in points[:: len(STARTS)]]
-    heights = [g.min(0).sum() / s2 + float(x @ x) for g, x in zip(groups, z, strict=True)]
-    i, segments = int(np.argmin(heights)), np.arange(count)
-    which = i * len(STARTS) + np.argmin(groups[i], axis=0)
+    which, segments, z = np.argmin(misfit, axis=0), np.arange(count), points[0].z
     start = (np.stack([getattr(p.start, a) for p in points])[which, segments] for a in ("qpos", "qvel", "act"))
-    return Point(z[i], Start(*start)), predicted[which, segments], float(heights[i])
+    height = float(misfit.min(0).sum()) / s2 + float(z @ z)
+    return Point(z, Start(*start)), predicted[which, segments], height
 
 
 def summarize(lin: Linearization, free_scale: bool, converged: bool) -> Fit:

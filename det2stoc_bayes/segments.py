@@ -1,7 +1,7 @@
 """Stretches of recordings that are simulated from a start of their own."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -54,6 +54,29 @@ class Segments:
     def lengths(self) -> Int[np.ndarray, " segments"]:
         """Samples of each segment, padding not counted."""
         return (np.diff(self.time, axis=1) > 0).sum(1) + 1
+
+    @property
+    def whole(self) -> bool:
+        """Whether every recording is one segment, from its first sample to its last."""
+        lengths = [len(r.time) for r in self.recordings]
+        return self.count == len(lengths) and bool((self.lengths == np.array(lengths)[self.recording]).all())
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """Samples of the longest segment, and the number of segments: two cuts of the same recordings differ in it."""
+        return self.time.shape[1], self.count
+
+    def only(self, rows: Int[np.ndarray, " rows"]) -> "Segments":
+        """Some of the segments; all recordings stay."""
+        longest = int(self.lengths[rows].max())
+        time, values = self.time[rows, :longest], self.values[rows, :longest]
+        return replace(self, recording=self.recording[rows], first=self.first[rows], time=time, values=values)
+
+    def evenly(self, num_samples: float) -> Int[np.ndarray, " rows"]:
+        """Segments of about so many samples in all, spread over each recording; of each at least one."""
+        every = max(int(np.ceil(self.lengths.sum() / num_samples)), 1)
+        rows = [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
+        return np.concatenate([own[min(every // 2, len(own) - 1) :: every] for own in rows])
 
     def steps(self, timestep: float) -> Int[np.ndarray, " segments"]:
         """Simulation steps that reach each segment's last sample."""

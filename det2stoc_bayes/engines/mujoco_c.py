@@ -1,14 +1,16 @@
 """The C engine: many simulations at once on all cores through `mujoco.batch`."""
 
 import copy
-from dataclasses import astuple
+from collections.abc import Sequence
+from dataclasses import astuple, replace
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from det2stoc_bayes.engines.base import Counter, Request, Trajectory
 from det2stoc_bayes.engines.mujoco_chunk import Chunk, num_before
+from det2stoc_bayes.engines.mujoco_steps import is_stepped
 from det2stoc_bayes.engines.quiet import QUIET
 
 MAX_SIMULATIONS = 4096
@@ -32,7 +34,20 @@ class MujocoC:
         return self.trajectory(request, states=False).columns
 
     def trajectory(self, request: Request, *, states: bool = True) -> Trajectory:
-        """Predicted values and states at the sample times, in chunks that fit in memory."""
+        """Predicted values and states at the sample times.
+
+        Simulations that are stepped one by one, or have forces on bodies, run apart: others need not wait for them.
+        """
+        ways = _ways(request)
+        groups = [np.flatnonzero(ways == way) for way in np.unique(ways)]
+        if len(groups) < 2 or any(np.ptp(ways[e.rows]) for e in request.effects if len(ways[e.rows])):
+            return self._in_chunks(request, states)
+        parts = [self._in_chunks(_only(request, rows), states) for rows in groups]
+        back = np.argsort(np.concatenate(groups))
+        return Trajectory(*(x[back] for x in astuple(_joined(parts))))
+
+    def _in_chunks(self, request: Request, states: bool) -> Trajectory:
+        """Chunks that fit in memory, one after the other."""
         model = self._model(request.timestep, request.integrator)
         steps = request.segments.steps(model.opt.timestep)[request.which]
         acting = any(e.placed.effect.uses("control") for e in request.effects)
@@ -48,11 +63,7 @@ class MujocoC:
                 parts.append(Chunk(model, request, rows, int(steps[rows].max()), self._threads).run(states))
             self.counter.simulations += rows.stop - rows.start
             self.counter.steps += (rows.stop - rows.start) * int(steps[rows].max())
-        return (
-            parts[0]
-            if len(parts) == 1
-            else Trajectory(*(np.concatenate(x) for x in zip(*map(astuple, parts), strict=True)))
-        )
+        return parts[0] if len(parts) == 1 else _joined(parts)
 
     def _model(self, timestep: float | None, integrator: str | None) -> mujoco.MjModel:
         key = (timestep, integrator)
@@ -64,6 +75,32 @@ class MujocoC:
                 model.opt.integrator = mujoco.mjtIntegrator.__members__[f"mjINT_{integrator.upper()}"]
             self._models[key] = model
         return self._models[key]
+
+
+def _joined(parts: Sequence[Trajectory]) -> Trajectory:
+    return Trajectory(*(np.concatenate(x) for x in zip(*map(astuple, parts), strict=True)))
+
+
+def _ways(request: Request) -> Int[np.ndarray, " sims"]:
+    """How each simulation has to be run: 0 in C alone, 1 step by step, 2 with bodies placed before each step."""
+    ways = np.zeros(len(request.which), int)
+    for e in request.effects:
+        way = 2 if e.placed.effect.uses("body_force") else int(is_stepped(e))
+        ways[e.rows] = np.maximum(ways[e.rows], way)
+    return ways
+
+
+def _only(request: Request, rows: Int[np.ndarray, " rows"]) -> Request:
+    """Some simulations of a request; those of an effect are all among them, or none is."""
+    place = np.full(len(request.which), -1)
+    place[rows] = np.arange(len(rows))
+    effects = []
+    for e in request.effects:
+        begin = place[e.rows.start] if e.rows.stop > e.rows.start else -1
+        if begin >= 0:
+            effects.append(replace(e, rows=slice(int(begin), int(begin) + e.rows.stop - e.rows.start)))
+    fields = {name: values[rows] for name, values in request.fields.items()}
+    return replace(request, which=request.which[rows], start=request.start[rows], fields=fields, effects=tuple(effects))
 
 
 def _without_autoreset(model: mujoco.MjModel) -> mujoco.MjModel:

@@ -110,7 +110,7 @@ def _explained(before: Fit, progress: Progress) -> tuple[Numerics | None, Explan
 
 def _believed(corrected: Fit, believed: Fit) -> Fit:
     """The believed timestep's fit on the segments that the explanation ended with."""
-    if corrected.problem.segments.count == believed.problem.segments.count:
+    if corrected.problem.segments.extent == believed.problem.segments.extent:
         return believed
     plain = replace(corrected.problem, timestep=None, integrator=None)
     return climb(plain, believed.point.z) or believed

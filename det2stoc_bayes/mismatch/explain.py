@@ -127,7 +127,7 @@ def _ahead(rival: Ranked, present: Ranked) -> bool:
 
 def _bare(before: Fit, grown: Fit) -> Fit:
     """The believed model on the segments of the explanation; as it was where it cannot follow them."""
-    if grown.problem.segments.count == before.problem.segments.count:
+    if grown.problem.segments.extent == before.problem.segments.extent:
         return before
     return refit(grown, ()) or before
 
@@ -190,7 +190,7 @@ def _enough(fit: Fit, believed: Fit) -> bool:
     """
     left, segments = fit.noise_inflation - 1, fit.problem.segments
     small = fit.noise_inflation < MODEL_ERROR and left < NEGLIGIBLE * (believed.noise_inflation - 1)
-    return (small and segments.count == len(segments.recordings)) or by_chance(fit)
+    return (small and segments.whole) or by_chance(fit)
 
 
 def _without_useless(

@@ -41,7 +41,7 @@ class HeldOut:
 def horizon_samples(fit: Fit) -> int | None:
     """Samples of a rollout: those of the fit's own stretches; None for whole recordings."""
     segments = fit.problem.segments
-    if segments.count == len(segments.recordings):
+    if segments.whole:
         return None
     return int(np.median(segments.lengths))
 

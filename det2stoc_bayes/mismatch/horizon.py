@@ -8,11 +8,12 @@ from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, whitened
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
-from det2stoc_bayes.segments import cut
-from det2stoc_bayes.start_fit import searched_again
+from det2stoc_bayes.segments import Segments, cut
+from det2stoc_bayes.start_fit import fit_starts, searched_again
 
 SHORTEST = 20  # samples
 GROWTH, LEAST_GROWTH = 4, 2  # from one rung to the next; and from the last one to whole recordings
+AMPLE = 3000  # samples in short segments: under a misfit more of them cost time and decide nothing
 LARGEST_ERROR = 0.2  # of a column's spread: beyond it a linearization says little
 
 
@@ -26,29 +27,70 @@ def ladder(problem: Problem) -> Iterator[int | None]:
     yield None
 
 
-def climb(problem: Problem, z: np.ndarray | None = None) -> Fit | None:
-    """The fit at the longest horizon whose error is still small, reached from short segments up."""
-    best: Fit | None = None
+def climb(problem: Problem, z: np.ndarray | None = None, reached: Fit | None = None) -> Fit | None:
+    """The fit at the longest horizon whose error is still small, from short segments up, or beyond one `reached`.
+
+    Of many short segments some lead the way. All are fitted in the end, or, where a misfit stays, the telling ones.
+    """
+    best, stretches = reached, problem.segments
     z = np.zeros(problem.size) if z is None else z
     for n in ladder(problem):
-        at = problem.on(cut(problem.segments.recordings, n, problem.segments.columns))
-        fit = fit_many([(at, start_point(at, z, best and best.linear))], tolerance=0.5)[0]
+        every = cut(problem.segments.recordings, n, problem.segments.columns)
+        if reached is not None and not _longer(every, reached.problem.segments):
+            stretches = every
+            continue
+        some = every if n is None or not _ample(problem, every) else every.only(every.evenly(AMPLE))
+        fit = _on(problem, some, z, best)
         if fit is None or (best is not None and relative_error(fit) > LARGEST_ERROR):
             break
-        best, z = fit, fit.point.z
-    return best and searched_again(best, tolerance=0.5)
+        best, stretches, z = fit, every, fit.point.z
+    if best is None:
+        return None
+    if best.problem.segments.count < stretches.count and (best is not reached or best.noise_inflation < MODEL_ERROR):
+        chosen = stretches if best.noise_inflation < MODEL_ERROR else _telling(best, stretches)
+        best = _on(problem, chosen, z, best) or best
+    return best if best is reached else searched_again(best, tolerance=0.5)
+
+
+def _ample(problem: Problem, segments: Segments) -> bool:
+    """Whether some segments will do: not where a position was not recorded, since longer ones try all their starts."""
+    return bool(problem.guess.seen.all()) and int(segments.lengths.sum()) > AMPLE
+
+
+def _telling(fit: Fit, every: Segments) -> Segments:
+    """Half of what is ample evenly spread, and then what a fit tells worst of all segments: most of its misfit."""
+    problem, rows = fit.problem.on(every), every.evenly(AMPLE / 2)
+    lin = fit_starts(problem, fit.problem.carry(fit.point.z, problem))
+    if lin is None:
+        return every.only(every.evenly(AMPLE))
+    left = lin.gram()[2]
+    left[rows] = -1.0
+    worst = np.argsort(-left)[: every.count - len(rows)]
+    room = AMPLE - every.lengths[rows].sum()
+    return every.only(np.sort(np.concatenate([rows, worst[np.cumsum(every.lengths[worst]) <= room]])))
+
+
+def _longer(segments: Segments, other: Segments) -> bool:
+    """Whether they are of a later rung; segments of one differ by a sample."""
+    return segments.time.shape[1] > 0.75 * LEAST_GROWTH * other.time.shape[1]
+
+
+def _on(problem: Problem, segments: Segments, z: np.ndarray, shorter: Fit | None) -> Fit | None:
+    at = problem.on(segments)
+    return fit_many([(at, start_point(at, z, shorter and shorter.linear))], tolerance=0.5)[0]
 
 
 def extend(fit: Fit) -> Fit:
     """The same hypothesis at a longer horizon, where one has become possible."""
-    recordings = fit.problem.segments.recordings
-    whole = fit.problem.on(cut(recordings, None, fit.problem.segments.columns))
-    if fit.problem.segments.count == whole.segments.count:
+    if fit.problem.segments.whole:
         return fit
-    longer = fit_many([(whole, start_point(whole, fit.point.z, fit.linear))], tolerance=0.5)[0]
-    if longer is None or longer.noise_inflation >= MODEL_ERROR:  # by way of shorter ones, lest it be a false optimum
-        longer = climb(fit.problem, fit.point.z)
-    return fit if longer is None or longer.problem.segments.count >= fit.problem.segments.count else longer
+    if fit.noise_inflation < MODEL_ERROR:
+        whole = cut(fit.problem.segments.recordings, None, fit.problem.segments.columns)
+        longer = _on(fit.problem, whole, fit.point.z, fit)
+        if longer is not None and longer.noise_inflation < MODEL_ERROR:
+            return longer
+    # By way of shorter ones, lest it be a false optimum.
+    return climb(fit.problem, fit.point.z, fit) or fit
 
 
 def relative_error(fit: Fit) -> float:

@@ -7,7 +7,7 @@ from det2stoc_bayes.mismatch.race import Progress, Slot, look, look_again, refin
 from det2stoc_bayes.mismatch.screen import Screened
 from det2stoc_bayes.optimize import Fit
 
-type Hypothesis = tuple[frozenset[PlacedEffect], int]
+type Hypothesis = tuple[frozenset[PlacedEffect], tuple[int, int]]
 
 
 class Looks:
@@ -34,4 +34,4 @@ class Looks:
 
 
 def _key(fit: Fit) -> Hypothesis:
-    return frozenset(fit.problem.effects), fit.problem.segments.count
+    return frozenset(fit.problem.effects), fit.problem.segments.extent
