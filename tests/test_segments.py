@@ -53,6 +53,24 @@ def test_columns_of_recordings_are_joined_by_name():
     assert cut([a, b], columns=("sensor/s",)).values.shape == (2, 2, 1)
 
 
+def test_whole_recordings_and_different_cuts_are_told_apart():
+    records = [record("a", np.arange(10)), record("b", np.arange(6))]
+    whole, halves = cut(records), cut(records, 5)
+    part = halves.only(np.array([0, 2]))  # as many as recordings
+    assert whole.whole and not halves.whole and not part.whole
+    assert part.time.tolist() == [[0, 1, 2, 3, 4, 4], [0, 1, 2, 3, 4, 5]]
+    assert part.recording.tolist() == [0, 1] and part.recordings == whole.recordings
+    assert len({s.extent for s in (whole, halves, part)}) == 3
+
+
+@pytest.mark.parametrize(
+    ("num_samples", "rows"), [(100, range(10)), (40, range(10)), (20, [1, 3, 5, 7, 9]), (10, [2, 6, 9]), (1, [7, 9])]
+)
+def test_segments_are_spread_over_each_recording(num_samples, rows):
+    segments = cut([record("a", np.arange(32)), record("b", np.arange(8))], 4)
+    assert segments.evenly(num_samples).tolist() == list(rows)
+
+
 def test_dropped_samples_are_not_observed():
     values = np.array([[1.0], [np.nan], [3.0]])
     segments = cut([record("a", [0, 1, 2], values=values)])

@@ -42,12 +42,17 @@ def _refits(fit: Fit, choices: Sequence[Sequence[PlacedEffect]]) -> list[Fit | N
 
 
 def swap(fit: Fit, i: int, other: Ranked) -> Fit:
-    """The best fit with another candidate in place i of the list."""
+    """The best fit with another candidate in place i of the list, from where that was fitted beside the same others."""
     effects = list(fit.problem.effects)
     if effects[i] == other.placed:
         return fit
     if len(effects) == 1:
         return other.fit
+    here, there = fit.problem.segments, other.fit.problem.segments
+    if here.extent == there.extent and {*effects[:i], other.placed, *effects[i + 1 :]} == {*other.fit.problem.effects}:
+        effects[i] = other.placed
+        point = _keep(other.fit, effects)
+        return fit_many([(fit.problem.with_effects(effects), point)], tolerance=tolerance(fit))[0] or fit
     kept = _keep(fit, [e for k, e in enumerate(effects) if k != i])
     cut_at = fit.problem.num_psi + sum(e.size for e in effects[:i])
     own = other.fit.point.z[other.fit.problem.size - other.placed.size :]

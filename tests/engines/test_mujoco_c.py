@@ -13,6 +13,7 @@ from det2stoc_bayes.engines import mujoco_c
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.engines.mujoco_c import MujocoC
 from det2stoc_bayes.mismatch.effects import CATALOGUE, Element, PlacedEffect, Typical
+from det2stoc_bayes.problem import merge_requests
 from det2stoc_bayes.segments import cut
 from det2stoc_bayes.simulator import Simulator
 
@@ -107,6 +108,26 @@ def test_chunks_change_nothing(compiled, monkeypatch):
     whole = MujocoC(model).rollout(asked)
     monkeypatch.setattr(mujoco_c, "MAX_SIMULATIONS", 3)
     np.testing.assert_array_equal(MujocoC(model).rollout(asked), whole)
+
+
+def test_simulations_that_run_in_different_ways_come_back_in_order(compiled):
+    """Some in C alone, some whose force is set at every step, some that are pushed on a body."""
+    model, rng = compiled(ARM, MOTORS), np.random.default_rng(2)
+    forms = ["ViscousDamping", "QuadraticDrag", "QuadraticDrag", "CoggingTorque", "ViscousDamping", "CoggingTorque"]
+    time, n = np.arange(11) * 0.013, len(forms)
+    qpos, qvel = rng.standard_normal((n, 2)), rng.standard_normal((n, 2))
+
+    def alone(i):
+        values = {name: np.array([v]) for name, v in VALUES[forms[i]].items()}
+        effects = (EffectRows(place_form(model, forms[i]), slice(0, 1), values),)
+        return request(model, time, qpos[i], qvel[i], effects=effects)
+
+    each = [alone(i) for i in range(n)]
+    segments = each[0].segments
+    together = MujocoC(model).rollout(merge_requests([replace(r, segments=segments) for r in each]))
+    still = MujocoC(model).rollout(request(model, time, qpos, qvel))
+    assert (np.abs(together - still).max((1, 2)) > 1e-4).all()
+    np.testing.assert_allclose(together, np.concatenate([MujocoC(model).rollout(r) for r in each]), atol=1e-12)
 
 
 @pytest.mark.parametrize("held", [False, True])

@@ -7,7 +7,9 @@ import pytest
 from conftest import make_study, model_xml
 from simulated import PENDULUM, fit, noise_table, place, pose, recordings
 
+from det2stoc_bayes.mismatch import horizon
 from det2stoc_bayes.mismatch.effects import Typical
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.mismatch.horizon import LARGEST_ERROR, climb, extend, ladder, relative_error
 from det2stoc_bayes.segments import cut
 
@@ -17,6 +19,10 @@ PSI = """
 target = "joint/pivot/damping"
 prior = { Normal = { loc = 0.05, scale = 0.02 } }
 """
+
+
+def twisted(model, data):
+    data.qfrc_applied[0] = 1.5 * np.sin(4 * data.qpos[0] + 1)
 
 
 def pendulum(folder, length=100, **options):
@@ -45,9 +51,6 @@ def test_the_right_model_reaches_whole_recordings(tmp_path):
 
 
 def test_a_wrong_model_stays_at_what_it_can_predict_until_it_is_mended(tmp_path):
-    def twisted(model, data):
-        data.qfrc_applied[0] = 1.5 * np.sin(4 * data.qpos[0] + 1)
-
     problem = pendulum(tmp_path, push=twisted)
     stuck = climb(problem)
     whole = fit(problem)
@@ -60,6 +63,29 @@ def test_a_wrong_model_stays_at_what_it_can_predict_until_it_is_mended(tmp_path)
     mended = extend(fit(stuck.problem.with_effects([ripple]), z))
     assert mended.problem.segments.count == 2 and mended.noise_inflation < 1.3  # measured: 0.99
     assert extend(mended) is mended
+
+
+def test_of_many_short_segments_the_worst_told_and_some_others_are_fitted_while_a_misfit_stays(tmp_path, monkeypatch):
+    problem = pendulum(tmp_path, push=twisted)
+    every = climb(problem)
+    monkeypatch.setattr(horizon, "AMPLE", 100)
+    stuck = climb(problem)
+    segments = stuck.problem.segments
+    assert every.problem.segments.count == 8 and segments.count == 4 and stuck.noise_inflation >= MODEL_ERROR
+    assert set(segments.recording) == {0, 1}
+    left, place = (
+        every.linear.gram()[2],
+        list(zip(every.problem.segments.recording, every.problem.segments.first, strict=True)),
+    )
+    chosen = [place.index(at) for at in zip(segments.recording, segments.first, strict=True)]
+    assert left.argmax() in chosen and left[chosen].sum() > 0.6 * left.sum()  # half of them
+    assert extend(stuck) is stuck
+
+
+def test_all_short_segments_are_fitted_where_they_leave_no_misfit(tmp_path, monkeypatch):
+    monkeypatch.setattr(horizon, "AMPLE", 100)
+    monkeypatch.setattr(horizon, "LARGEST_ERROR", -1.0)  # nothing longer is ever good enough
+    assert climb(pendulum(tmp_path)).problem.segments.count == 8
 
 
 def test_a_model_that_explodes_has_no_horizon(tmp_path):
