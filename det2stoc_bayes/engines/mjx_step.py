@@ -4,6 +4,7 @@ import contextlib
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -138,10 +139,7 @@ class Stepper:
             state = self._joint_state(m, d, at, middle, lead)
             if i in self._remembering:
                 state = replace(state, anchor=anchors[self._remembering.index(i)])
-
-            def law(v, effect: Any = effect, p: Any = parameters[i], state: Any = state) -> Any:
-                return effect.joint_force(p, replace(state, v=v), jnp)
-
+            law = partial(_joint_force, effect, parameters[i], state)
             value = law(v)
             if effect.changes:  # MuJoCo treats it as damping, implicitly: its slope joins the damping
                 slope = jax.jvp(law, (v,), (jnp.ones_like(v),))[1]
@@ -194,3 +192,7 @@ def _integrate(m, d):
 def field_of(model, name: str):
     holder, _, leaf = name.rpartition(".")
     return getattr(model.opt if holder == "opt" else model, leaf)
+
+
+def _joint_force(effect: Any, parameters: Any, state: JointState, v: Any) -> Any:
+    return effect.joint_force(parameters, replace(state, v=v), jnp)
