@@ -199,11 +199,8 @@ def test_forces_on_a_body_by_what_they_come_to_on_its_joints(tmp_path, body):
     problem = problem_of(tmp_path, CARTPOLE)
     fit, effect = here(problem), place(problem, "quadratic_drag", body)
     response, values = Response(fit), {"coefficient": 1e-4}
-    state = response.body_states(effect.element)
-    force = effect.effect.body_force({"coefficient": np.asarray(1e-4)}, state, np)
-    found = linear(
-        problem, response, *response.pushed(effect.element, force.reshape(*response.path.qpos.shape[:2], 3, 1))
-    )
+    given = [{"coefficient": np.asarray(values["coefficient"])}]
+    found = linear(problem, response, *response.pushed(effect.effect, effect.element, given))
     expected = simulated(problem, fit.point.start, [(effect, values)])
     assert error(found, expected, problem) < 0.02
 
