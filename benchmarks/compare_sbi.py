@@ -1,0 +1,124 @@
+"""Neural posterior estimation on problems of the SBI benchmark (Lueckmann et al. 2021), by the benchmark's own measure.
+
+Observations and reference posteriors are read from the files of the package sbibm; C2ST of 10,000 draws against
+10,000, for each of ten observations. One network a line serves all of them; `npe+psis` resamples 100,000 of its draws by the
+exact likelihood. Lines go to benchmarks/results/compare_sbi.jsonl; the same command goes on where it stopped.
+"""
+
+import argparse
+import itertools
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module, util
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from concealed import append, logged, revision
+
+from det2stoc_bayes.inference._flow import ConditionalFlow, train
+from det2stoc_bayes.psis import effective_draws, resampled, smooth
+from det2stoc_bayes.two_samples_jax import c2st
+from det2stoc_bayes.vector_problem import VectorProblem
+
+LOG = Path(__file__).parent / "results" / "compare_sbi.jsonl"
+PROBLEMS = ("gaussian_linear", "two_moons", "slcp")
+BUDGETS = (1_000, 10_000, 100_000)
+NUM_DRAWS, NUM_PROPOSED, NUM_OBSERVATIONS = 10_000, 100_000, 10
+PUBLISHED = {  # mean C2ST of NPE, by the number of simulations
+    "gaussian_linear": (0.694, 0.552, 0.506),
+    "two_moons": (0.725, 0.606, 0.542),
+    "slcp": (0.975, 0.901, 0.831),
+}
+
+
+def problem_named(name: str) -> VectorProblem:
+    """A problem of `det2stoc_bayes.models`."""
+    return import_module(f"det2stoc_bayes.models.{name}").PROBLEM
+
+
+def files_of(name: str, observation: int) -> Path:
+    """The benchmark's folder of one observation (1 to 10); sbibm itself, which wants PyTorch, is not imported."""
+    found = util.find_spec("sbibm")
+    if found is None or not found.submodule_search_locations:
+        raise SystemExit("error: sbibm is not installed; allowed: the environment that make builds")
+    return Path(found.submodule_search_locations[0]) / "tasks" / name / "files" / f"num_observation_{observation}"
+
+
+def table(path: Path) -> np.ndarray:
+    """A table's rows without its header; of numpy's readers one unpacks .bz2, too."""
+    return np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+
+
+def refined(
+    problem: VectorProblem, flow: ConditionalFlow, x: np.ndarray, key: jax.Array, random: np.random.Generator
+) -> tuple[np.ndarray, dict[str, float]]:
+    """z resampled by Pareto-smoothed weights of the exact likelihood, and what the weights say."""
+    z = flow.sample(key, x, NUM_PROPOSED)
+    log_weights, k_hat = smooth(problem.log_density(z, x) - flow.log_density(z, x))
+    weights = np.exp(log_weights)
+    told = {"k_hat": round(k_hat, 3), "effective": round(effective_draws(weights), 1)}
+    return z[resampled(weights, NUM_DRAWS, random)], told
+
+
+def judged(problem: VectorProblem, flow: ConditionalFlow, observation: int, seed: int) -> dict[str, float]:
+    """C2ST against the reference of one observation, draws in theta as the benchmark has them."""
+    folder = files_of(problem.name, observation)
+    x = table(folder / "observation.csv")[0]
+    reference = table(folder / "reference_posterior_samples.csv.bz2").astype(np.float32)
+    own, other = jax.random.split(jax.random.fold_in(jax.random.key(seed), observation))
+    draws, told = refined(problem, flow, x, other, np.random.default_rng([seed, observation]))
+    ways = {"npe": flow.sample(own, x, NUM_DRAWS), "npe+psis": draws}
+    scores = {way: c2st(reference, problem.constrained(z).astype(np.float32)) for way, z in ways.items()}
+    return {way: round(value, 4) for way, value in scores.items()} | told
+
+
+def line(name: str, budget: int, seed: int) -> dict[str, Any]:
+    """One training and its ten observations."""
+    problem = problem_named(name)
+    z, x = problem.draw(budget, np.random.default_rng([seed, budget]))
+    began = time.perf_counter()
+    flow = train(z, x, jax.random.key(seed))
+    seconds = time.perf_counter() - began
+    found = [judged(problem, flow, k, seed) for k in range(1, NUM_OBSERVATIONS + 1)]
+    columns = {key: [one[key] for one in found] for key in found[0]}
+    return {"seconds": round(seconds, 1), "epochs": len(flow.history)} | columns
+
+
+def summary(lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """A row a problem and number of simulations: mean C2ST and its standard error over observations and seeds."""
+    yield "| problem | simulations | npe | npe + PSIS | published | seeds | s a fit |"
+    yield "|---|---|---|---|---|---|---|"
+    for name, (k, budget) in itertools.product(PROBLEMS, enumerate(BUDGETS)):
+        own = [one for one in lines if one["problem"] == name and one["simulations"] == budget]
+        if own:
+            cells = [_mean([one[way] for one in own]) for way in ("npe", "npe+psis")]
+            seconds = np.mean([one["seconds"] for one in own])
+            published = f"{PUBLISHED[name][k]:.3f}"
+            yield f"| {name} | {budget} | {' | '.join(cells)} | {published} | {len(own)} | {seconds:.0f} |"
+
+
+def _mean(scores: Sequence[Sequence[float]]) -> str:
+    """Mean and its standard error. Observations and seeds count alike."""
+    values = np.ravel(scores)
+    return f"{values.mean():.3f} ± {values.std(ddof=1) / np.sqrt(values.size):.3f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--problems", nargs="+", choices=PROBLEMS, default=PROBLEMS)
+    parser.add_argument("--simulations", nargs="+", type=int, choices=BUDGETS, default=BUDGETS)
+    parser.add_argument("--seeds", type=int, default=3)
+    given = parser.parse_args()
+    done = {(one["problem"], one["simulations"], one["seed"]) for one in logged(LOG)}
+    for seed, budget, name in itertools.product(range(given.seeds), given.simulations, given.problems):
+        if (name, budget, seed) not in done:
+            about = {"commit": revision(), "problem": name, "simulations": budget, "seed": seed}
+            append(LOG, about | line(name, budget, seed))
+            print(*(list(summary([logged(LOG)[-1]]))[2:]), flush=True)
+    print(*summary(logged(LOG)), sep="\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,221 @@
+"""p(theta | x) as an ensemble of masked autoregressive spline flows, learned from pairs of theta and x.
+
+Neural posterior estimation (Papamakarios and Murray 2016) with the flows of Durkan et al. (2019): plain arrays in and
+out. theta is expected about standard normal; x is standardised here. Members differ in their first weights and in the
+order of their batches; their mixture is the density.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import paramax
+from flowjax.bijections import RationalQuadraticSpline
+from flowjax.distributions import StandardNormal
+from flowjax.flows import masked_autoregressive_flow
+from jaxtyping import Array, Float
+
+from det2stoc_bayes.errors import SamplingFailed
+
+Progress = Callable[[int, int], None]
+ROWS = 10_000  # at a time: splines of all knots are held
+CLIP = 5.0  # of a gradient's norm
+FARTHEST = 20.0  # standardised x: what lies beyond says no more
+FEWEST = 50  # pairs
+
+
+@dataclass(frozen=True)
+class Training:
+    """Sizes and schedule. `batch`: pairs a step, of many simulations more, so that an epoch has `num_steps` at most.
+
+    The weights that are judged and kept are a running mean over about 1 / (1 - `smoothing`) steps. A member has
+    finished when the validation loss has not improved for `patience` epochs.
+    """
+
+    num_members: int = 4
+    num_layers: int = 5
+    width: int = 64
+    depth: int = 2
+    knots: int = 8
+    interval: float = 5.0
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-4
+    batch: int = 50
+    num_steps: int = 100
+    smoothing: float = 0.99
+    validation: float = 0.1
+    patience: int = 20
+    num_epochs: int = 500
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionalFlow:
+    """A learned p(theta | x)."""
+
+    members: Any  # flows, their arrays stacked
+    size: int
+    center: Float[np.ndarray, " features"]
+    scale: Float[np.ndarray, " features"]
+    history: Float[np.ndarray, "epochs members"]  # validation loss [nat]
+
+    def log_density(
+        self, theta: Float[np.ndarray, "rows size"], x: Float[np.ndarray, " features"]
+    ) -> Float[np.ndarray, " rows"]:
+        """log p(theta | x) of the mixture."""
+        with jax.enable_x64(False):
+            given = self._standard(x)
+            found = [np.asarray(_log_density(self.members, part, given), float) for part in _parts(theta)]
+        return np.concatenate(found)
+
+    def sample(self, key: jax.Array, x: Float[np.ndarray, " features"], count: int) -> Float[np.ndarray, "count size"]:
+        """Draws of theta, as many of each member, in random order."""
+        with jax.enable_x64(False):
+            num_members = self.history.shape[1]
+            draw, mix = jax.random.split(key)
+            each, given, found = -(-count // num_members), self._standard(x), []
+            for k, begin in enumerate(range(0, each, ROWS)):
+                keys = jax.random.split(jax.random.fold_in(draw, k), num_members)
+                drawn = _sample(self.members, keys, given, min(ROWS, each))
+                found.append(np.asarray(drawn, float)[:, : each - begin])
+            theta = np.concatenate(found, 1).reshape(-1, self.size)
+            return theta[np.asarray(jax.random.permutation(mix, len(theta)))[:count]]
+
+    def _standard(self, x: np.ndarray) -> Array:
+        return jnp.asarray(_standardised(x, self.center, self.scale))
+
+
+def train(
+    theta: Float[np.ndarray, "sims size"],
+    x: Float[np.ndarray, "sims features"],
+    key: jax.Array,
+    options: Training = Training(),
+    *,
+    noise: float = 0.0,
+    progress: Progress = lambda *_: None,
+) -> ConditionalFlow:
+    """The flows of least validation loss. `noise`: sd of what is added to x anew in every step, in x's units.
+
+    SamplingFailed: fewer than FEWEST pairs, or no finite loss.
+    """
+    if len(theta) < FEWEST:
+        raise SamplingFailed(f"a flow was to learn from {len(theta)} simulations; allowed: {FEWEST} at least")
+    center, scale = x.mean(0), np.sqrt(x.var(0) + noise**2)
+    scale = np.where(scale > 0, scale, 1.0)
+    with jax.enable_x64(False):
+        first, split, learn = jax.random.split(key, 3)
+        order = np.asarray(jax.random.permutation(split, len(theta)))
+        held = max(int(options.validation * len(theta)), 1)
+        pairs = theta.astype(np.float32), _standardised(x, center, scale)
+        seen, judged = ([jnp.asarray(a[rows]) for a in pairs] for rows in (order[held:], order[:held]))
+        make = eqx.filter_vmap(lambda k: _flow(k, theta.shape[1], x.shape[1], options))
+        members = make(jax.random.split(first, options.num_members))
+        spread = jnp.asarray((noise / scale).astype(np.float32)) if noise else None
+        members, history = _optimize(members, seen, judged, learn, options, spread, progress)
+    return ConditionalFlow(members, theta.shape[1], center, scale, history)
+
+
+def _flow(key: jax.Array, size: int, features: int, options: Training) -> Any:
+    return masked_autoregressive_flow(
+        key,
+        base_dist=StandardNormal((size,)),
+        transformer=RationalQuadraticSpline(knots=options.knots, interval=options.interval),
+        cond_dim=features,
+        flow_layers=options.num_layers,
+        nn_width=options.width,
+        nn_depth=options.depth,
+        nn_activation=jax.nn.silu,
+    )
+
+
+def _optimize(
+    members: Any,
+    seen: list[Array],
+    judged: list[Array],
+    key: jax.Array,
+    options: Training,
+    spread: Array | None,
+    progress: Progress,
+) -> tuple[Any, Float[np.ndarray, "epochs members"]]:
+    """Adam with decoupled weight decay, each member by itself; the running mean of the weights is judged."""
+    learned, fixed = eqx.partition(
+        members, eqx.is_inexact_array, is_leaf=lambda leaf: isinstance(leaf, paramax.NonTrainable)
+    )
+    arrays, static = eqx.partition(fixed, eqx.is_array)  # each member has its own permutations
+    count = len(seen[0])
+    batch = min(max(options.batch, count // options.num_steps), count)
+    optimizer = optax.chain(
+        optax.clip_by_global_norm(CLIP), optax.adamw(options.learning_rate, weight_decay=options.weight_decay)
+    )
+
+    def loss(weights, own, theta, x):
+        return -eqx.combine(weights, eqx.combine(own, static)).log_prob(theta, x).mean()
+
+    def step(own, state, now):
+        weights, mean, memory, done = state
+        rows, k = now
+        theta, x = (a[rows] for a in seen)
+        x = x if spread is None else x + spread * jax.random.normal(k, x.shape, x.dtype)
+        gradient = jax.grad(loss)(weights, own, theta, x)
+        change, memory = optimizer.update(gradient, memory, weights)
+        weights = optax.apply_updates(weights, change)
+        share = jnp.minimum(options.smoothing, done / (done + 10.0))  # the first weights are soon forgotten
+        mean = jax.tree.map(lambda m, w: share * m + (1 - share) * w, mean, weights)
+        return (weights, mean, memory, done + 1.0), None
+
+    def epoch(own, state, best, k):
+        mix, blur = jax.random.split(k)
+        rows = jax.random.permutation(mix, count)[: count // batch * batch].reshape(-1, batch)
+        state, _ = jax.lax.scan(partial(step, own), state, (rows, jax.random.split(blur, len(rows))))
+        value = loss(state[1], own, *judged)
+        better = value < best[0]  # a loss that is no number is none
+        return state, jax.tree.map(lambda new, old: jnp.where(better, new, old), (value, state[1]), best), value
+
+    learned = jax.tree.map(lambda a: jax.lax.convert_element_type(a, a.dtype), learned)  # a weak type compiles anew
+    begin = jax.vmap(lambda w: (w, w, optimizer.init(w), jnp.float32(0.0)))
+    state, best = begin(learned), (jnp.full(options.num_members, jnp.inf, jnp.float32), learned)
+    advance, history = jax.jit(jax.vmap(epoch)), []
+    since = np.zeros(options.num_members, int)
+    blurred = None if spread is None else jax.random.fold_in(key, 0)
+    if blurred is not None:
+        judged[1] = judged[1] + spread * jax.random.normal(blurred, judged[1].shape, judged[1].dtype)
+    for i in range(options.num_epochs):
+        before = np.asarray(best[0])
+        keys = jax.random.split(jax.random.fold_in(key, i + 1), options.num_members)
+        state, best, value = advance(arrays, state, best, keys)
+        since = np.where(np.asarray(best[0]) < before, 0, since + 1)
+        history.append(np.asarray(value, float))
+        progress(i + 1, options.num_epochs)
+        if (since >= options.patience).all():
+            break
+    if not np.isfinite(best[0]).all():
+        raise SamplingFailed(
+            f"a flow came to no finite loss in {len(history)} epochs; allowed: data of moderate size, "
+            "or a lower learning rate"
+        )
+    return eqx.combine(best[1], fixed), np.stack(history)
+
+
+def _standardised(x: np.ndarray, center: np.ndarray, scale: np.ndarray) -> Float[np.ndarray, "..."]:
+    return np.clip((x - center) / scale, -FARTHEST, FARTHEST).astype(np.float32)
+
+
+def _parts(theta: Float[np.ndarray, "rows size"]) -> Iterator[Array]:
+    for begin in range(0, len(theta), ROWS):
+        yield jnp.asarray(theta[begin : begin + ROWS], jnp.float32)
+
+
+@eqx.filter_jit
+def _log_density(members: Any, theta: Array, x: Array) -> Array:
+    terms = eqx.filter_vmap(lambda flow: flow.log_prob(theta, x), in_axes=eqx.if_array(0))(members)
+    return jax.nn.logsumexp(terms, axis=0) - jnp.log(terms.shape[0])
+
+
+@eqx.filter_jit
+def _sample(members: Any, keys: jax.Array, x: Array, count: int) -> Array:
+    return eqx.filter_vmap(lambda flow, key: flow.sample(key, (count,), x), in_axes=(eqx.if_array(0), 0))(members, keys)
