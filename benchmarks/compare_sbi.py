@@ -1,8 +1,8 @@
 """Neural posterior estimation on problems of the SBI benchmark (Lueckmann et al. 2021), by the benchmark's own measure.
 
 Observations and reference posteriors are read from the files of the package sbibm; C2ST of 10,000 draws against
-10,000, for each of ten observations. One network a line serves all of them; `npe+psis` resamples 100,000 of its draws by the
-exact likelihood. Lines go to benchmarks/results/compare_sbi.jsonl; the same command goes on where it stopped.
+10,000, for each of ten observations. One network a line serves all of them; `npe+psis` resamples 100,000 of its draws
+by the exact likelihood. Lines go to benchmarks/results/compare_sbi.jsonl; the same command goes on where it stopped.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from det2stoc_bayes.two_samples_jax import c2st
 from det2stoc_bayes.vector_problem import VectorProblem
 
 LOG = Path(__file__).parent / "results" / "compare_sbi.jsonl"
-PROBLEMS = ("gaussian_linear", "two_moons", "slcp")
+PROBLEMS = ("two_moons", "slcp", "gaussian_linear")
 BUDGETS = (1_000, 10_000, 100_000)
 NUM_DRAWS, NUM_PROPOSED, NUM_OBSERVATIONS = 10_000, 100_000, 10
 PUBLISHED = {  # mean C2ST of NPE, by the number of simulations

@@ -1,8 +1,9 @@
 """p(theta | x) as an ensemble of masked autoregressive spline flows, learned from pairs of theta and x.
 
 Neural posterior estimation (Papamakarios and Murray 2016) with the flows of Durkan et al. (2019): plain arrays in and
-out. theta is expected about standard normal; x is standardised here. Members differ in their first weights and in the
-order of their batches; their mixture is the density.
+out. What is linear is found first (the regression adjustment of Beaumont et al. 2002): the flows tell what a linear
+regression of theta on x leaves, in units in which it is white. Members differ in their first weights and in the order
+of their batches; their mixture is the density.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,6 +29,8 @@ ROWS = 10_000  # at a time: splines of all knots are held
 CLIP = 5.0  # of a gradient's norm
 FARTHEST = 20.0  # standardised x: what lies beyond says no more
 FEWEST = 50  # pairs
+RIDGE = 1e-3  # pairs' worth
+LEAST_LEFT = 1e-4  # sds of theta that a line leaves at least
 
 
 @dataclass(frozen=True)
@@ -62,32 +65,34 @@ class ConditionalFlow:
     size: int
     center: Float[np.ndarray, " features"]
     scale: Float[np.ndarray, " features"]
+    line: Float[np.ndarray, "features_and_one size"]  # of theta by standardised x and 1
+    root: Float[np.ndarray, "size size"]  # lower triangular: theta = line + root @ what the flows tell
     history: Float[np.ndarray, "epochs members"]  # validation loss [nat]
 
     def log_density(
         self, theta: Float[np.ndarray, "rows size"], x: Float[np.ndarray, " features"]
     ) -> Float[np.ndarray, " rows"]:
         """log p(theta | x) of the mixture."""
+        given = _standardised(x, self.center, self.scale)
+        left = np.linalg.solve(self.root, (theta - _with_one(given) @ self.line).T).T
         with jax.enable_x64(False):
-            given = self._standard(x)
-            found = [np.asarray(_log_density(self.members, part, given), float) for part in _parts(theta)]
-        return np.concatenate(found)
+            found = [np.asarray(_log_density(self.members, part, given), float) for part in _parts(left)]
+        return np.concatenate(found) - np.log(np.diag(self.root)).sum()
 
     def sample(self, key: jax.Array, x: Float[np.ndarray, " features"], count: int) -> Float[np.ndarray, "count size"]:
         """Draws of theta, as many of each member, in random order."""
+        given = _standardised(x, self.center, self.scale)
         with jax.enable_x64(False):
             num_members = self.history.shape[1]
             draw, mix = jax.random.split(key)
-            each, given, found = -(-count // num_members), self._standard(x), []
+            each, found = -(-count // num_members), []
             for k, begin in enumerate(range(0, each, ROWS)):
                 keys = jax.random.split(jax.random.fold_in(draw, k), num_members)
                 drawn = _sample(self.members, keys, given, min(ROWS, each))
                 found.append(np.asarray(drawn, float)[:, : each - begin])
-            theta = np.concatenate(found, 1).reshape(-1, self.size)
-            return theta[np.asarray(jax.random.permutation(mix, len(theta)))[:count]]
-
-    def _standard(self, x: np.ndarray) -> Array:
-        return jnp.asarray(_standardised(x, self.center, self.scale))
+            left = np.concatenate(found, 1).reshape(-1, self.size)
+            left = left[np.asarray(jax.random.permutation(mix, len(left)))[:count]]
+        return _with_one(given) @ self.line + left @ self.root.T
 
 
 def train(
@@ -111,13 +116,16 @@ def train(
         first, split, learn = jax.random.split(key, 3)
         order = np.asarray(jax.random.permutation(split, len(theta)))
         held = max(int(options.validation * len(theta)), 1)
-        pairs = theta.astype(np.float32), _standardised(x, center, scale)
+        given = _standardised(x, center, scale)
+        line, root = _regression(given[order[held:]], theta[order[held:]])
+        left = np.linalg.solve(root, (theta - _with_one(given) @ line).T).T.astype(np.float32)
+        pairs = left, given
         seen, judged = ([jnp.asarray(a[rows]) for a in pairs] for rows in (order[held:], order[:held]))
         make = eqx.filter_vmap(lambda k: _flow(k, theta.shape[1], x.shape[1], options))
         members = make(jax.random.split(first, options.num_members))
         spread = jnp.asarray((noise / scale).astype(np.float32)) if noise else None
         members, history = _optimize(members, seen, judged, learn, options, spread, progress)
-    return ConditionalFlow(members, theta.shape[1], center, scale, history)
+    return ConditionalFlow(members, theta.shape[1], center, scale, line, root, history)
 
 
 def _flow(key: jax.Array, size: int, features: int, options: Training) -> Any:
@@ -203,6 +211,21 @@ def _optimize(
 
 def _standardised(x: np.ndarray, center: np.ndarray, scale: np.ndarray) -> Float[np.ndarray, "..."]:
     return np.clip((x - center) / scale, -FARTHEST, FARTHEST).astype(np.float32)
+
+
+def _with_one(x: np.ndarray) -> Float[np.ndarray, "*rows features_and_one"]:
+    return np.concatenate([x, np.ones((*x.shape[:-1], 1))], -1).astype(float)
+
+
+def _regression(
+    x: Float[np.ndarray, "sims features"], theta: Float[np.ndarray, "sims size"]
+) -> tuple[Float[np.ndarray, "features_and_one size"], Float[np.ndarray, "size size"]]:
+    """Least squares with a slight ridge, and the Cholesky factor of what is left."""
+    design = _with_one(x)
+    gram = design.T @ design + RIDGE * np.eye(design.shape[1])
+    line = np.linalg.solve(gram, design.T @ theta)
+    left = theta - design @ line
+    return line, np.linalg.cholesky(left.T @ left / len(left) + LEAST_LEFT**2 * np.eye(theta.shape[1]))
 
 
 def _parts(theta: Float[np.ndarray, "rows size"]) -> Iterator[Array]:
