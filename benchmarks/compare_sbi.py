@@ -112,11 +112,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     given = parser.parse_args()
     done = {(one["problem"], one["simulations"], one["seed"]) for one in logged(LOG)}
-    for seed, budget, name in itertools.product(range(given.seeds), given.simulations, given.problems):
-        if (name, budget, seed) not in done:
-            about = {"commit": revision(), "problem": name, "simulations": budget, "seed": seed}
-            append(LOG, about | line(name, budget, seed))
-            print(*(list(summary([logged(LOG)[-1]]))[2:]), flush=True)
+    for seed in range(given.seeds):
+        for budget, name in itertools.product(given.simulations, given.problems):
+            if (name, budget, seed) not in done:
+                about = {"commit": revision(), "problem": name, "simulations": budget, "seed": seed}
+                append(LOG, about | line(name, budget, seed))
+                print(*(list(summary([logged(LOG)[-1]]))[2:]), flush=True)
     print(*summary(logged(LOG)), sep="\n")
 
 

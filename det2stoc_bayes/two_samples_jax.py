@@ -27,7 +27,7 @@ def c2st(draws: Draws, reference: Draws, *, seed: int = 1, num_folds: int = 5) -
     center, scale = draws.mean(0), draws.std(0, ddof=1)
     scale = np.where(scale > 0, scale, 1.0)
     both = (np.concatenate([thinned(draws, count), thinned(reference, count)]) - center) / scale
-    label = np.repeat(np.float32([0, 1]), count)
+    label = np.repeat(np.array([0, 1], np.float32), count)
     order = np.random.default_rng(seed).permutation(2 * count).reshape(num_folds, -1)
     others = np.stack([np.delete(order, k, axis=0).ravel() for k in range(num_folds)])
     with jax.enable_x64(False):

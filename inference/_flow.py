@@ -29,8 +29,8 @@ ROWS = 10_000  # at a time: splines of all knots are held
 CLIP = 5.0  # of a gradient's norm
 FARTHEST = 20.0  # standardised x: what lies beyond says no more
 FEWEST = 50  # pairs
-RIDGE = 1e-3  # pairs' worth
-LEAST_LEFT = 1e-4  # sds of theta that a line leaves at least
+RIDGE = 1e-6  # pairs' worth
+LEAST_LEFT = 1e-6  # sds of theta that a line leaves at least
 
 
 @dataclass(frozen=True)
@@ -117,13 +117,15 @@ def train(
         order = np.asarray(jax.random.permutation(split, len(theta)))
         held = max(int(options.validation * len(theta)), 1)
         given = _standardised(x, center, scale)
-        line, root = _regression(given[order[held:]], theta[order[held:]])
+        blur = noise / scale
+        line, root = _regression(given[order[held:]], theta[order[held:]], blur)
         left = np.linalg.solve(root, (theta - _with_one(given) @ line).T).T.astype(np.float32)
         pairs = left, given
         seen, judged = ([jnp.asarray(a[rows]) for a in pairs] for rows in (order[held:], order[:held]))
         make = eqx.filter_vmap(lambda k: _flow(k, theta.shape[1], x.shape[1], options))
         members = make(jax.random.split(first, options.num_members))
-        spread = jnp.asarray((noise / scale).astype(np.float32)) if noise else None
+        carried = np.linalg.solve(root, (blur[:, None] * line[:-1]).T).T  # how noise moves what the line leaves
+        spread = tuple(jnp.asarray(a, jnp.float32) for a in (blur, carried)) if noise else None
         members, history = _optimize(members, seen, judged, learn, options, spread, progress)
     return ConditionalFlow(members, theta.shape[1], center, scale, line, root, history)
 
@@ -147,7 +149,7 @@ def _optimize(
     judged: list[Array],
     key: jax.Array,
     options: Training,
-    spread: Array | None,
+    spread: tuple[Array, Array] | None,
     progress: Progress,
 ) -> tuple[Any, Float[np.ndarray, "epochs members"]]:
     """Adam with decoupled weight decay, each member by itself; the running mean of the weights is judged."""
@@ -168,7 +170,7 @@ def _optimize(
         weights, mean, memory, done = state
         rows, k = now
         theta, x = (a[rows] for a in seen)
-        x = x if spread is None else x + spread * jax.random.normal(k, x.shape, x.dtype)
+        theta, x = _blurred(theta, x, spread, k)
         gradient = jax.grad(loss)(weights, own, theta, x)
         change, memory = optimizer.update(gradient, memory, weights)
         weights = optax.apply_updates(weights, change)
@@ -189,9 +191,7 @@ def _optimize(
     state, best = begin(learned), (jnp.full(options.num_members, jnp.inf, jnp.float32), learned)
     advance, history = jax.jit(jax.vmap(epoch)), []
     since = np.zeros(options.num_members, int)
-    blurred = None if spread is None else jax.random.fold_in(key, 0)
-    if blurred is not None:
-        judged[1] = judged[1] + spread * jax.random.normal(blurred, judged[1].shape, judged[1].dtype)
+    judged = [*_blurred(*judged, spread, jax.random.fold_in(key, 0))]
     for i in range(options.num_epochs):
         before = np.asarray(best[0])
         keys = jax.random.split(jax.random.fold_in(key, i + 1), options.num_members)
@@ -209,6 +209,14 @@ def _optimize(
     return eqx.combine(best[1], fixed), np.stack(history)
 
 
+def _blurred(theta: Array, x: Array, spread: tuple[Array, Array] | None, key: jax.Array) -> tuple[Array, Array]:
+    """x with noise, and theta's distance from the line at it."""
+    if spread is None:
+        return theta, x
+    noise = jax.random.normal(key, x.shape, x.dtype)
+    return theta - noise @ spread[1], x + noise * spread[0]
+
+
 def _standardised(x: np.ndarray, center: np.ndarray, scale: np.ndarray) -> Float[np.ndarray, "..."]:
     return np.clip((x - center) / scale, -FARTHEST, FARTHEST).astype(np.float32)
 
@@ -218,14 +226,16 @@ def _with_one(x: np.ndarray) -> Float[np.ndarray, "*rows features_and_one"]:
 
 
 def _regression(
-    x: Float[np.ndarray, "sims features"], theta: Float[np.ndarray, "sims size"]
+    x: Float[np.ndarray, "sims features"], theta: Float[np.ndarray, "sims size"], blur: Float[np.ndarray, " features"]
 ) -> tuple[Float[np.ndarray, "features_and_one size"], Float[np.ndarray, "size size"]]:
-    """Least squares with a slight ridge, and the Cholesky factor of what is left."""
-    design = _with_one(x)
-    gram = design.T @ design + RIDGE * np.eye(design.shape[1])
-    line = np.linalg.solve(gram, design.T @ theta)
+    """Least squares under noise of sd `blur` in x, a slight ridge, and the Cholesky factor of what is left."""
+    design, count = _with_one(x), len(x)
+    noise = np.diag(np.append(blur, 0.0)) ** 2
+    gram = design.T @ design + count * noise
+    line = np.linalg.solve(gram + RIDGE * np.eye(len(gram)), design.T @ theta)
     left = theta - design @ line
-    return line, np.linalg.cholesky(left.T @ left / len(left) + LEAST_LEFT**2 * np.eye(theta.shape[1]))
+    covariance = left.T @ left / count + line.T @ noise @ line
+    return line, np.linalg.cholesky(covariance + LEAST_LEFT**2 * np.eye(theta.shape[1]))
 
 
 def _parts(theta: Float[np.ndarray, "rows size"]) -> Iterator[Array]:

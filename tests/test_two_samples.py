@@ -4,28 +4,33 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from det2stoc_bayes.two_samples import c2st, gaussian_kl, mean_errors, sd_errors, sliced_wasserstein
+from det2stoc_bayes import two_samples, two_samples_jax
+from det2stoc_bayes.two_samples import gaussian_kl, mean_errors, sd_errors, sliced_wasserstein
 
 NUM = 2000
+BOTH = pytest.mark.parametrize("c2st", [two_samples.c2st, two_samples_jax.c2st], ids=["sklearn", "jax"])
 
 
 def gaussian(seed, shift=0.0, scale=1.0, size=2):
     return shift + scale * np.random.default_rng(seed).standard_normal((NUM, size))
 
 
-def test_none_tells_equal_distributions_apart():
+@BOTH
+def test_none_tells_equal_distributions_apart(c2st):
     """An accuracy of 4000 guesses has a standard error of 0.008, and a fold lacks what the others have too much of."""
     assert abs(c2st(gaussian(0), gaussian(1)) - 0.5) < 5 * 0.008  # measured: 0.474
 
 
+@BOTH
 @pytest.mark.parametrize("shift", [0.5, 1.5])
-def test_the_best_classifier_of_shifted_gaussians(shift):
+def test_the_best_classifier_of_shifted_gaussians(c2st, shift):
     """Its accuracy is Phi(distance / 2)."""
     best = stats.norm.cdf(shift * np.sqrt(2) / 2)
     assert c2st(gaussian(0, shift), gaussian(1)) == pytest.approx(best, abs=3 * 0.008)
 
 
 def test_of_unequal_sets_as_many_are_taken():
+    c2st = two_samples.c2st
     assert abs(c2st(gaussian(0)[:500], gaussian(1)) - 0.5) < 3 * 0.016
     assert c2st(np.zeros((100, 2)), gaussian(1)) > 0.9
 

@@ -1,0 +1,78 @@
+"""Problems of the SBI benchmark against its own files: observations and reference posteriors."""
+
+import sys
+from importlib import util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from det2stoc_bayes.models import gaussian_linear, slcp, two_moons
+
+PROBLEMS = (gaussian_linear.PROBLEM, slcp.PROBLEM, two_moons.PROBLEM)
+NUM_PRIOR = 1_000_000
+WITHIN = 5.0  # standard errors; measured: 3.2 at most
+
+
+def files(name, observation):
+    """x and draws of the reference posterior."""
+    found = util.find_spec("sbibm")
+    assert found is not None and "sbibm" not in sys.modules  # it is not imported: it would want PyTorch
+    folder = Path(found.submodule_search_locations[0]) / "tasks" / name / "files" / f"num_observation_{observation}"
+    x, draws = (
+        np.loadtxt(folder / file, delimiter=",", skiprows=1, ndmin=2)
+        for file in ("observation.csv", "reference_posterior_samples.csv.bz2")
+    )
+    return x[0], draws
+
+
+@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: p.name)
+def test_prior_and_likelihood_give_the_reference_posterior(problem):
+    """Means of theta, |theta| and theta^2 by draws of the prior that are weighed by the likelihood."""
+    x, reference = files(problem.name, 1)
+    theta = problem.constrained(np.random.default_rng(0).standard_normal((NUM_PRIOR, problem.size)))
+    log_weight = problem.log_likelihood(theta, x)
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    theta, weight = theta[weight > 1e-12], weight[weight > 1e-12]
+    effective = 1 / (weight**2).sum()
+    assert effective > 100
+    for of in (lambda t: t, np.abs, np.square):
+        values, wanted = of(theta), of(reference)
+        mean = weight @ values
+        error = np.sqrt(weight**2 @ (values - mean) ** 2 + wanted.var(0) / len(wanted))
+        assert np.abs((mean - wanted.mean(0)) / error).max() < WITHIN
+
+
+@pytest.mark.parametrize("problem", PROBLEMS[:2], ids=lambda p: p.name)
+def test_the_simulator_draws_from_the_likelihood(problem):
+    """E[p(x | other) / p(x | theta)] = 1 for x ~ p(x | theta)."""
+    random = np.random.default_rng(1)
+    theta = np.full((1, problem.size), 0.9)
+    x = problem.simulate(np.repeat(theta, 2_000, 0), random)
+    for k in range(problem.size):
+        other = theta + 0.05 * np.eye(problem.size)[k]
+        ratio = np.exp(
+            [float(problem.log_likelihood(other, one)[0] - problem.log_likelihood(theta, one)[0]) for one in x]
+        )
+        assert abs(ratio.mean() - 1) < WITHIN * ratio.std() / np.sqrt(len(x))
+
+
+def test_moons_are_drawn_where_the_benchmark_has_them():
+    """theta = 0: a half circle of radius 0.1 about (0.25, 0)."""
+    x = two_moons.PROBLEM.simulate(np.zeros((20_000, 2)), np.random.default_rng(2))
+    off = x - [0.25, 0.0]
+    radius = np.hypot(*off.T)
+    assert (off[:, 0] >= 0).all() and abs(radius.mean() - 0.1) < 5 * 0.01 / np.sqrt(20_000)
+    assert abs(radius.std() - 0.01) < 5 * 0.01 / np.sqrt(40_000)
+    moved = two_moons.PROBLEM.simulate(np.tile([0.3, -0.7], (20_000, 1)), np.random.default_rng(2)) - x
+    np.testing.assert_allclose(moved, np.tile([-0.4, -1.0], (20_000, 1)) / np.sqrt(2), atol=1e-12)
+
+
+@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: p.name)
+def test_theta_and_back(problem):
+    z = np.random.default_rng(3).standard_normal((50, problem.size))
+    np.testing.assert_allclose(problem.unconstrained(problem.constrained(z)), z, atol=1e-9)
+    x = problem.simulate(problem.constrained(z), np.random.default_rng(4))
+    expected = problem.log_likelihood(problem.constrained(z), x[0]) - 0.5 * (z**2 + np.log(2 * np.pi)).sum(1)
+    np.testing.assert_allclose(problem.log_density(z, x[0]), expected)
