@@ -76,7 +76,7 @@ class ConditionalFlow:
         given = _standardised(x, self.center, self.scale)
         left = np.linalg.solve(self.root, (theta - _with_one(given) @ self.line).T).T
         with jax.enable_x64(False):
-            found = [np.asarray(_log_density(self.members, part, given), float) for part in _parts(left)]
+            found = [np.asarray(_log_density(self.members, part, jnp.asarray(given)), float) for part in _parts(left)]
         return np.concatenate(found) - np.log(np.diag(self.root)).sum()
 
     def sample(self, key: jax.Array, x: Float[np.ndarray, " features"], count: int) -> Float[np.ndarray, "count size"]:
@@ -88,7 +88,7 @@ class ConditionalFlow:
             each, found = -(-count // num_members), []
             for k, begin in enumerate(range(0, each, ROWS)):
                 keys = jax.random.split(jax.random.fold_in(draw, k), num_members)
-                drawn = _sample(self.members, keys, given, min(ROWS, each))
+                drawn = _sample(self.members, keys, jnp.asarray(given), min(ROWS, each))
                 found.append(np.asarray(drawn, float)[:, : each - begin])
             left = np.concatenate(found, 1).reshape(-1, self.size)
             left = left[np.asarray(jax.random.permutation(mix, len(left)))[:count]]
@@ -125,7 +125,7 @@ def train(
         make = eqx.filter_vmap(lambda k: _flow(k, theta.shape[1], x.shape[1], options))
         members = make(jax.random.split(first, options.num_members))
         carried = np.linalg.solve(root, (blur[:, None] * line[:-1]).T).T  # how noise moves what the line leaves
-        spread = tuple(jnp.asarray(a, jnp.float32) for a in (blur, carried)) if noise else None
+        spread = (jnp.asarray(blur, jnp.float32), jnp.asarray(carried, jnp.float32)) if noise else None
         members, history = _optimize(members, seen, judged, learn, options, spread, progress)
     return ConditionalFlow(members, theta.shape[1], center, scale, line, root, history)
 
@@ -191,7 +191,7 @@ def _optimize(
     state, best = begin(learned), (jnp.full(options.num_members, jnp.inf, jnp.float32), learned)
     advance, history = jax.jit(jax.vmap(epoch)), []
     since = np.zeros(options.num_members, int)
-    judged = [*_blurred(*judged, spread, jax.random.fold_in(key, 0))]
+    judged = [*_blurred(judged[0], judged[1], spread, jax.random.fold_in(key, 0))]
     for i in range(options.num_epochs):
         before = np.asarray(best[0])
         keys = jax.random.split(jax.random.fold_in(key, i + 1), options.num_members)

@@ -14,7 +14,8 @@ from jaxtyping import Float
 
 from det2stoc_bayes.density import Density
 from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged
-from det2stoc_bayes.inference._flow import FEWEST, Training, train
+from det2stoc_bayes.inference import _flow
+from det2stoc_bayes.inference._flow import FEWEST, Training
 from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
 from det2stoc_bayes.inference._sampling import NUM_CHAINS, as_key, density_of, numpy_random, per_chain, seed_of
 from det2stoc_bayes.posterior import DataTree, Progress, measured
@@ -63,7 +64,7 @@ def fit(
         z, signal, here = _simulated(density, z, num_features)
         training = Training(num_members=num_members, width=width, patience=patience, num_epochs=num_epochs)
         report = {} if progress is None else {"progress": progress}
-        flow = train(z, signal, learn, training, noise=1.0, **report)
+        flow = _flow.train(z, signal, learn, training, noise=1.0, **report)
         drawn = flow.sample(draw, here, NUM_CHAINS * each)
         return build_weighed(
             density,
@@ -86,26 +87,22 @@ def _simulated(
 
     SimulationDiverged: too few are left.
     """
-    at, beyond = density.walled(z)
-    z, found, basis, middle = at[~beyond], [], None, 0.0
-    whole = np.zeros(len(z), bool)
-    chunks = [np.arange(len(z))[rows] for rows in density.chunks(len(z))]
-    first = min(len(z), MOST_ROWS)
-    chunks = [part for rows in chunks for part in (rows[rows < first], rows[rows >= first]) if len(part)]
-    begun = _signals(density, z[:first])
-    kept = np.isfinite(begun).all(1)
-    if kept.sum() < FEWEST:
+    z, beyond = density.walled(z)
+    z = z[~beyond]
+    first, rest = z[:MOST_ROWS], z[MOST_ROWS:]
+    begun = np.concatenate([_signals(density, first[rows]) for rows in density.chunks(len(first))])
+    finite = np.isfinite(begun).all(1)
+    if finite.sum() < FEWEST:
         raise SimulationDiverged(
-            f"of {first} simulations under the prior {kept.sum()} stay finite; allowed: {FEWEST} at least, "
+            f"of {len(first)} simulations under the prior {finite.sum()} stay finite; allowed: {FEWEST} at least, "
             "by narrower priors or a finer timestep"
         )
-    middle = begun[kept].mean(0)
-    basis = _components(begun[kept] - middle, num_features)
-    for rows in chunks:
-        signal = begun[rows] if rows[-1] < first else _signals(density, z[rows])
-        whole[rows] = np.isfinite(signal).all(1)
-        found.append((signal[whole[rows]] - middle) @ basis)
-    return z[whole], np.concatenate(found), -middle @ basis
+    middle = begun[finite].mean(0)
+    basis = _components(begun[finite] - middle, num_features)
+    parts = [(_signals(density, rest[rows]) - middle) @ basis for rows in density.chunks(len(rest))]
+    features = np.concatenate([(begun - middle) @ basis, *parts])
+    whole = np.isfinite(features).all(1)
+    return z[whole], features[whole], -middle @ basis
 
 
 def _signals(density: Density, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points values"]:

@@ -38,6 +38,11 @@ def refined(gaussian_problem):
     return npe.fit(gaussian_problem, KEY, num_samples=1000, refine="psis", **SMALL)
 
 
+def test_it_learns_anew_for_every_study():
+    """A method that has `train` is calibrated by one training."""
+    assert not hasattr(npe, "train")
+
+
 def test_contract(learned, gaussian_problem, tmp_path):
     tree, seen = learned
     assert set(GROUPS) <= set(tree.children) and set(ATTRIBUTES) <= set(tree.attrs)
