@@ -24,7 +24,7 @@ VALUES: dict[str, dict] = {
     "Backlash": {"gap": 0.1},
     "Hysteresis": {"force": 0.3, "stiffness": 6.0},
     "Coupling": {"ratio": 0.8, "stiffness": 4.0, "damping": 0.1},
-    "HardStop": {"position": 0.15},
+    "HardStop": {"position": 0.05},
     "LinearDrag": {"coefficient": 0.6},
     "QuadraticDrag": {"coefficient": 0.6},
     "SizedDrag": {"drag_coefficient": 20.0},

@@ -107,7 +107,7 @@ DERIVED = {
 
 
 def test_same_motion_with_every_effect_and_derived_constant(compiled):
-    bodies = ARM.replace('name="elbow"', 'name="elbow" range="-0.3 0.3" limited="true"')
+    bodies = ARM.replace('name="elbow"', 'name="elbow" range="-15 15" limited="true"')
     bodies = bodies.replace('name="shoulder"', 'name="shoulder" frictionloss="0.1"')
     sensors = '<subtreelinvel name="flow" body="upper"/><actuatorfrc name="effort" actuator="servo"/>'
     sensors += '<framelinacc name="acc" objtype="body" objname="lower"/>'
