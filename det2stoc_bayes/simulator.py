@@ -110,6 +110,8 @@ class Simulator:
             return elements.joint_elements(self.model, _reached(self.study))
         if kind == "actuator":
             return elements.actuator_elements(self.model)
+        if kind == "contact":
+            return []  # which geoms touch is seen in recordings alone: `engines.contacts`
         return [Element("simulator", "option")] if kind == "simulator" else []
 
     @property

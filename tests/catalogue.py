@@ -57,7 +57,8 @@ VALUES: dict[str, dict] = {
     "SensorDrift": {"rate": 0.3},
     "ClockSkew": {"ratio": 1.03},
 }
-FORMS: dict[str, Effect] = {type(f).__name__: f for e in CATALOGUE.values() for f in e.forms() if e.kind != "simulator"}
+APART = ("simulator", "contact")  # what no arm has
+FORMS: dict[str, Effect] = {type(f).__name__: f for e in CATALOGUE.values() for f in e.forms() if e.kind not in APART}
 
 
 def place_form(model: mujoco.MjModel, form: str, typical: Typical | None = None) -> PlacedEffect:

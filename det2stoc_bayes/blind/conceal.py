@@ -13,6 +13,7 @@ from det2stoc_bayes.blind.equivalents import accepted, entry
 from det2stoc_bayes.blind.laws import INTEGRATION, LAWS
 from det2stoc_bayes.blind.probe import Probe, draw_probe
 from det2stoc_bayes.blind.recordings import record
+from det2stoc_bayes.blind.short_sizing import find_short
 from det2stoc_bayes.blind.sizing import (
     LARGEST,
     SMALLEST,
@@ -62,7 +63,7 @@ def make_case(
     control: bool = False,
     variants: tuple[str, ...] = (),
     num_recordings: int = 8,
-    num_samples: int = 300,
+    num_samples: int | None = None,
 ) -> ConcealedCase:
     """A case drawn from the seed; what is given is kept. `size` is in noise sds; a control conceals nothing.
 
@@ -74,7 +75,7 @@ def make_case(
             raise ValueError(f"{given!r} is not known; there are {', '.join(known)}")
     if INTEGRATION in (effect, second) and (pair or second):
         raise ValueError(f"{INTEGRATION} is concealed alone")
-    if num_recordings < 1 or num_samples < FEWEST_SAMPLES:
+    if num_recordings < 1 or (num_samples is not None and num_samples < FEWEST_SAMPLES):
         found = f"{num_recordings} recordings of {num_samples} samples"
         raise ValueError(f"{found}; allowed: 1 or more, of {FEWEST_SAMPLES} or more")
     if size is not None and not SMALLEST <= size <= LARGEST:
@@ -85,7 +86,7 @@ def make_case(
     for _ in range(ATTEMPTS):
         setting = choose(rng, options[rng.integers(len(options))], variants)
         psi = setting.system.draw_psi(rng)
-        times = float(rng.choice(setting.system.sampling)) * np.arange(num_samples)
+        times = float(rng.choice(setting.system.sampling)) * np.arange(num_samples or setting.system.samples)
         probe = draw_probe(rng, setting.system, psi, times, tuple(setting.varying))
         found = _draw(rng, probe, wanted, size)
         made = None if found is None else record(rng, setting, probe, found, num_recordings)
@@ -110,7 +111,11 @@ def _draw(rng: np.random.Generator, probe: Probe, wanted: list[str | None], size
                 pairs = [p for p in pairs if p[0] != INTEGRATION]
             if not pairs:
                 return None
-            one = find(rng, probe, _pick(rng, pairs), size or draw_size(rng), fixed=size is not None)
+            pick = _pick(rng, pairs)
+            if probe.system.touching:
+                one = find_short(rng, probe, pick)
+            else:
+                one = find(rng, probe, pick, size or draw_size(rng), fixed=size is not None)
             if one is None:
                 break
             found.append(one)
@@ -138,8 +143,8 @@ def _answer(
     effects = [
         entry(f.effect)
         | {
-            "accepted": [] if f.believed else accepted(rng, probe, f.effect, samples),
-            "judged": judged_components(probe, f.effect),
+            "accepted": [] if f.believed or probe.system.touching else accepted(rng, probe, f.effect, samples),
+            "judged": {} if probe.system.touching else judged_components(probe, f.effect),
             "size_in_noise_sds": f.size,
             "change_in_noise_sds": f.change,
         }
@@ -167,7 +172,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--control", action="store_true", help="conceal nothing")
     parser.add_argument("--variant", action="append", choices=list(VARIANTS), default=[], help="may be repeated")
     parser.add_argument("--recordings", type=int, default=8)
-    parser.add_argument("--samples", type=int, default=300)
+    parser.add_argument("--samples", type=int, help="of a recording; default: the system's own")
     parser.add_argument("--reveal", action="store_true", help="print the answer")
     a = parser.parse_args(arguments)
     if a.out.exists() and (not a.out.is_dir() or any(a.out.iterdir())):

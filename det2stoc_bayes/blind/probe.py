@@ -128,7 +128,20 @@ def typical(
             for a in range(model.nu)
         },
         dict(zip(system.columns(), columns.std(axis=0).tolist(), strict=True)) | {"time": float(times[-1])},
+        _contacts(model, runs) if system.touching else {},
     )
+
+
+def _contacts(model: mujoco.MjModel, runs: Sequence[Run]) -> dict[str, dict]:
+    """For each pair of geoms that touches the share of samples in which it does, and where its body was."""
+    data, found, count = mujoco.MjData(model), {}, 0
+    for state in np.concatenate([run.states[::2] for run in runs]):
+        data.qpos[:] = state[: model.nq]
+        mujoco.mj_forward(model, data)
+        count += 1
+        for one in {"/".join(sorted(model.geom(int(g)).name for g in c.geom)) for c in data.contact}:
+            found.setdefault(one, []).append(state[:3].tolist())
+    return {name: {"share": len(places) / count, "places": places} for name, places in found.items()}
 
 
 def _snapshot(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, np.ndarray]:

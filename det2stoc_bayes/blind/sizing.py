@@ -32,7 +32,8 @@ class Found:
 def combinations(probe: Probe, effect: str | None = None) -> list[tuple[str, str]]:
     """(effect, element) pairs that this system may conceal."""
     scene, names = probe.scene, (LAWS if effect is None else (effect,))
-    laws = {n: LAWS[n] for n in names}
+    touching = probe.system.touching  # there sensors and the integration are left alone
+    laws = {n: LAWS[n] for n in names if not touching or LAWS[n].kind in ("contact", "world", "body")}
     return [
         (n, e)
         for n, law in laws.items()

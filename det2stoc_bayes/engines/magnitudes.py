@@ -9,6 +9,7 @@ from det2stoc_bayes.engines.layout import column_address
 from det2stoc_bayes.mismatch.effects.base import Element, Typical
 from det2stoc_bayes.problem import Problem
 
+NUM_PLACES = 60  # where a contact's body was
 MAX_STEPS = 4000  # of the simulation that is looked at
 
 
@@ -79,6 +80,7 @@ class Magnitudes:
             "integrator": mujoco.mjtIntegrator(self.model.opt.integrator).name.removeprefix("mjINT_"),
         }
         own = {"joint": self._joint, "body": self._body, "actuator": self._actuator, "world": self._world}
+        own["contact"] = self._contact
         if element.kind in own:
             return Typical(**own[element.kind](element), **base)
         if element.kind == "sensor" and element.column != "time":
@@ -122,6 +124,16 @@ class Magnitudes:
             "peak_speed": max(self._peak("actuator_velocity", a), speed),
             "command": command,
         }
+
+    def _contact(self, element: Element) -> dict[str, Any]:
+        found: dict[str, Any] = self._body(element) if element.body >= 0 else {}
+        refs = self.model.geom_solref[list(element.geoms)]
+        ref = self.model.pair_solref[element.pair] if element.pair >= 0 else refs.mean(0)
+        if "free" in element.traits and len(self.arrays["qpos"]):
+            places = self.arrays["qpos"][:, element.qpos : element.qpos + 3]
+            chosen = places[np.linspace(0, len(places) - 1, NUM_PLACES).astype(int)]
+            found |= {"region": tuple(tuple(float(v) for v in row) for row in chosen)}
+        return found | {"solref": (float(ref[0]), float(ref[1]))}
 
     def _world(self, element: Element) -> dict[str, float]:
         moving = max((self._rms("body_speed", b) for b in range(self.model.nbody)), default=0.0)

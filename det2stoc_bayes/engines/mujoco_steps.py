@@ -180,6 +180,8 @@ class Stepper:
         at, rows, time = e.placed.element, e.rows, self.time[e.rows] + self.lead[e.rows]
         if at.dof < 0:
             return JointState(0.0 * time, 0.0 * time, time)
+        if at.kind == "contact":  # where its free body is
+            return JointState(self.qpos[rows, at.qpos : at.qpos + 3], self.qvel[rows, at.dof : at.dof + 3], time)
         given = None
         if at.actuators and "driven" in e.placed.effect.needs:
             given = self._law(e)(self.ctrl[rows], self.act[rows])

@@ -13,6 +13,7 @@ from det2stoc_bayes.mismatch.belief import Sampler, Temper
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.compose import Composer
 from det2stoc_bayes.mismatch.conflict import needless, resolved
+from det2stoc_bayes.mismatch.contact.run import diagnosed, touches
 from det2stoc_bayes.mismatch.credence import weigh
 from det2stoc_bayes.mismatch.explain import Explanation, explain
 from det2stoc_bayes.mismatch.horizon import climb
@@ -78,7 +79,11 @@ def diagnose(
     began = time.perf_counter()
     simulator = Simulator(study)
     progress("fitting the believed model", 0, 1)
-    declared = climb(make_problem(simulator))
+    problem = make_problem(simulator)
+    if touches(problem):
+        composer, patch = diagnosed(problem, seed, progress)
+        return Diagnosis(composer.compose(time.perf_counter() - began), composer.arrays(), patch, study)
+    declared = climb(problem)
     if declared is None:
         raise SimulationDiverged(
             f"{study.model_path}: the simulation diverges from every recorded start; "

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 
+from det2stoc_bayes.mismatch.patch_contact import place_contact
 from det2stoc_bayes.mismatch.patch_runtime import (
     BELIEVED,
     CLOCKS,
@@ -97,7 +98,8 @@ def rewrite_fields(model, data):
         state.drive = drive_of(model, data, joint, actuators) if actuators else None
         dof = model.jnt_dofadr[joint] if joint >= 0 else -1
         fields = {field: np.array(field_of(model, field)) for field in (*written, *seen)}
-        at = SimpleNamespace(dof=dof, actuators=actuators)
+        at = SimpleNamespace(dof=dof, actuators=actuators, kind=kind)
+        place_contact(model, data, name, at, state)
         for field, value in law(p, fields, state, at, np).items():
             set_field(model, field, value)
 

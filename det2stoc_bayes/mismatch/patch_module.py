@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from det2stoc_bayes.errors import ModelError
+from det2stoc_bayes.mismatch import patch_contact
 from det2stoc_bayes.mismatch import patch_forces as forces
 from det2stoc_bayes.mismatch import patch_runtime as runtime
 from det2stoc_bayes.mismatch.effects.base import Effect, PlacedEffect
@@ -26,7 +27,16 @@ _SERVED: dict[str, tuple[str, tuple[str, ...]]] = {
     "clock": ("CLOCKS", ("keep_clock",)),
     "momentary": (
         "MOMENTARY",
-        ("rewrite_fields", "restore_fields", "set_field", "joint_and_actuators", "joint_state", *_MIDDLE, "drive_of"),
+        (
+            "rewrite_fields",
+            "restore_fields",
+            "set_field",
+            "joint_and_actuators",
+            "place_contact",
+            "joint_state",
+            *_MIDDLE,
+            "drive_of",
+        ),
     ),
     "control": ("CONTROLS", ("rewrite_controls", "follow")),
     "sample_time": ("SAMPLE_TIMES", ("remember_state", "follow")),
@@ -247,7 +257,7 @@ def _fields_table(fields: Sequence[FieldWrite]) -> str:
 def _runtime_sources(hooks: Sequence[str], fields: bool) -> list[str]:
     served = {name for h in hooks for name in _SERVED[h][1]} | set(_ALWAYS) | ({"write_fields"} if fields else set())
     served |= {"field_of"} if fields or "momentary" in hooks else set()
-    parts = (runtime, forces)
+    parts = (runtime, forces, patch_contact)
     members = [v for part in parts for v in vars(part).values() if getattr(v, "__module__", "") == part.__name__]
     return [inspect.getsource(m) for m in members if m.__name__ in served]
 

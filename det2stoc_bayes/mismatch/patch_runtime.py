@@ -1,7 +1,6 @@
 """What an effects.py has besides the laws: source that is copied there and needs only mujoco and numpy.
 
-`effects_module` fills the tables below, which are empty here. Of the data it relies on time, qpos, qvel, act,
-ctrl and the applied forces alone.
+`effects_module` fills the tables below. It relies on time, qpos, qvel, act, ctrl and the applied forces alone.
 """
 
 from weakref import WeakKeyDictionary
@@ -137,8 +136,7 @@ def arrays(model, data, sensors):
     """Copies of the arrays that columns are read from."""
     found = {"qpos": data.qpos.copy(), "qvel": data.qvel.copy()}
     if sensors and model.nsensordata:
-        scratch = memory_of(model, data).scratch
-        copy_state(model, data, scratch)
+        copy_state(model, data, scratch := memory_of(model, data).scratch)
         mujoco.mj_forward(model, scratch)
         found["sensor"] = scratch.sensordata.copy()
     return found

@@ -10,14 +10,15 @@ from det2stoc_bayes.mismatch.race import Ranked, Slot
 from det2stoc_bayes.mismatch.where import Condition
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.posterior import named_draws
+from det2stoc_bayes.problem import HasProblem
 from det2stoc_bayes.recording import Recording
 
-__all__ = ["DataTree", "fitted_paths", "posterior", "rollouts", "screening"]
+__all__ = ["DataTree", "fitted_paths", "posterior", "ranking", "rollouts", "screening"]
 
 NUM_CHAINS = 4
 
 
-def posterior(fit: Fit, z: np.ndarray) -> xr.Dataset:
+def posterior(fit: HasProblem, z: np.ndarray) -> xr.Dataset:
     """Draws of psi and effect parameters by name, dims chain and draw."""
     problem = fit.problem
     names = {"recording": list(problem.unknowns.recordings)} if problem.unknowns.varying else {}
@@ -33,7 +34,7 @@ def _variable(name: str) -> str:
 
 
 def rollouts(
-    fit: Fit,
+    fit: HasProblem,
     before: dict[str, np.ndarray],
     after: dict[str, np.ndarray],
     recordings: tuple[Recording, ...],
@@ -91,6 +92,11 @@ def screening(slot: Slot, probability: dict[str, float]) -> xr.Dataset:
         effect, at, r = s.placed.effect, s.placed.element, refined.get(s.placed.label)
         gain, chance = s.log_evidence if r is None else r.gain, probability.get(s.placed.label, 0.0)
         rows.append((effect.name, at.kind, at.name, gain, chance, "" if r is None else _size(r)))
+    return ranking(rows)
+
+
+def ranking(rows: list[tuple[str, str, str, float, float, str]]) -> xr.Dataset:
+    """Candidates as (name, kind, element, log evidence, probability, size), most evidence first."""
     rows.sort(key=lambda row: -row[3])
     names = ("name", "kind", "element", "log_evidence", "probability", "size")
     return xr.Dataset({n: (("candidate",), list(v)) for n, v in zip(names, zip(*rows, strict=True), strict=True)})

@@ -10,7 +10,7 @@ from det2stoc_bayes.mismatch.classes import Class
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import widened
 from det2stoc_bayes.optimize import Fit
-from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.problem import HasProblem, Problem
 
 NUM_DRAWS = 1000
 INTERVAL = (2.5, 97.5)
@@ -36,7 +36,9 @@ def quantity(values: Float[np.ndarray, "draws *components"], unit: str, *, circu
     )
 
 
-def parameters(fit: Fit, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Quantity | str]:
+def parameters(
+    fit: HasProblem, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]
+) -> dict[str, finding.Quantity | str]:
     """An effect's parameters from draws of a fit's unknowns; a coupling's source by its name."""
     slot = list(fit.problem.effects).index(placed)
     values = fit.problem.effect_values(z)[slot]

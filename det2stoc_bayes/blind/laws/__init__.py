@@ -3,6 +3,7 @@
 from det2stoc_bayes.blind.laws.actuator import ACTUATOR_LAWS
 from det2stoc_bayes.blind.laws.base import Effect, Law, Scene
 from det2stoc_bayes.blind.laws.body import BODY_LAWS
+from det2stoc_bayes.blind.laws.contact import CONTACT_LAWS
 from det2stoc_bayes.blind.laws.frame import FRAME_LAWS
 from det2stoc_bayes.blind.laws.hard_stop import STOP_LAWS
 from det2stoc_bayes.blind.laws.immersed import IMMERSED_LAWS
@@ -22,6 +23,7 @@ LAWS: dict[str, Law] = {
     **STRING_LAWS,
     **WORLD_LAWS,
     **FRAME_LAWS,
+    **CONTACT_LAWS,
     **ACTUATOR_LAWS,
     **SENSOR_LAWS,
     INTEGRATION: Law("simulator", {"timestep": "s"}, lambda scene, element: 0.02, lambda m, drawn: {"timestep": m}),

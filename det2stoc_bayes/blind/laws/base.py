@@ -27,7 +27,8 @@ class Scene:
     """What is typical in a system's own motion; the physical range of an effect follows from it.
 
     By joint: rms speed, force, travel, and the inertia; by body: force, speed, spin, extent and mass; by actuator: the
-    largest command and force; by column: the spread. `duration` of a recording and `sampling` in s.
+    largest command and force; by column: the spread; by contact: the share of time, and places. `duration` of a
+    recording and `sampling` in s.
     """
 
     model: mujoco.MjModel
@@ -37,6 +38,7 @@ class Scene:
     body: dict[str, dict[str, float]]
     actuator: dict[str, dict[str, float]]
     column: dict[str, float]
+    contact: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def names(self, kind: str) -> list[str]:
         """Every element of a kind."""

@@ -8,13 +8,17 @@ from det2stoc_bayes.blind.systems import (
     lift_arm,
     pan_tilt,
     pendulum,
+    puck,
     servo_arm,
     slider,
+    slope_box,
+    thrown_box,
     torsion,
 )
 from det2stoc_bayes.blind.systems.base import Psi, System
 
 _MODULES = (cart_pole, pendulum, arm, slider, servo_arm, ball, lift_arm, furuta, torsion, pan_tilt)
-SYSTEMS: dict[str, System] = {module.SYSTEM.name: module.SYSTEM for module in _MODULES}
+_TOUCHING = (slope_box, puck, thrown_box)
+SYSTEMS: dict[str, System] = {module.SYSTEM.name: module.SYSTEM for module in (*_MODULES, *_TOUCHING)}
 
 __all__ = ["SYSTEMS", "Psi", "System"]

@@ -72,7 +72,7 @@ def write_field(model: mujoco.MjModel, target: str, value: float, index: int | N
         else:
             entry[index] = value
         return
-    row = getattr(model, kind)(middle[0]).id
+    row = slice(None) if middle[0] == "*" else getattr(model, kind)(middle[0]).id
     if kind == "joint" and field in _DOF_FIELDS:
         row, array = model.jnt_dofadr[row], getattr(model, f"dof_{field}")
     else:
@@ -120,6 +120,8 @@ class System:
     integrator: str = "RK4"
     medium: str = ""  # further attributes of <option>
     measured: tuple[str, ...] = ("qpos", "qvel")
+    touching: bool = False  # bodies touch: sizes are taken over short stretches
+    samples: int = 300  # of a recording, unless something else is asked for
 
     def measuring(self, *what: str) -> "System":
         """This system with these columns measured."""

@@ -15,7 +15,8 @@ class Element:
     that was recorded, its rest position if none was. `traits`: driven (a joint that motors drive, an actuator that
     drives a joint), held (a joint that a motor holds in a position), plain (an actuator of fixed or affine law), loose
     (a body whose inertial frame may be changed), sized (a body whose size a recording changes), fluid and wind (of the
-    world), value and clock (of what is recorded).
+    world), value and clock (of what is recorded), paired and free (of a contact that the model lists, with a free
+    body).
     """
 
     kind: Kind
@@ -33,6 +34,8 @@ class Element:
     source_dof: int = -1
     source_qpos: int = -1
     reach: tuple[float, float] = (0.0, 0.0)
+    geoms: tuple[int, int] = (-1, -1)  # of a contact; the second is the one that effects change
+    pair: int = -1  # of a contact that the model lists
     traits: frozenset[str] = frozenset()
 
     @property
@@ -66,6 +69,8 @@ class Typical:
     sampling: float = 0.01  # s between samples
     timestep: float = 0.002
     integrator: str = "Euler"
+    solref: tuple[float, float] = (0.02, 1.0)  # of a contact
+    region: tuple[tuple[float, float, float], ...] = ()  # where a contact's body was: points of equal shares of time
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,152 @@
+"""Concealed laws of contact, written on the geom of a pair that rests more: it outranks the other one."""
+
+import mujoco
+import numpy as np
+
+from det2stoc_bayes.blind.laws.base import Force, Law, Parameters, Scene
+
+
+def geoms_of(model: mujoco.MjModel, element: str) -> tuple[int, int]:
+    """(the geom that moves, the geom that does not) of a pair named with a slash."""
+    first, second = (model.geom(name).id for name in element.split("/"))
+    fixed = [g for g in (first, second) if model.body_weldid[model.geom_bodyid[g]] == 0]
+    still = fixed[0] if fixed else second
+    return (second if still == first else first), still
+
+
+def _outrank(model: mujoco.MjModel, element: str) -> int:
+    """Gives the resting geom what the two have together, and the last word; its number."""
+    mover, still = geoms_of(model, element)
+    model.geom_friction[still] = np.maximum(model.geom_friction[still], model.geom_friction[mover])
+    model.geom_solref[still] = 0.5 * (model.geom_solref[still] + model.geom_solref[mover])
+    model.geom_condim[still] = max(model.geom_condim[still], model.geom_condim[mover])
+    model.geom_priority[still] = 7
+    return still
+
+
+def _slippery(model: mujoco.MjModel, element: str, p: Parameters) -> None:
+    model.geom_friction[_outrank(model, element), 0] *= p["ratio"]
+
+
+def _rolling(model: mujoco.MjModel, element: str, p: Parameters) -> None:
+    still = _outrank(model, element)
+    model.geom_friction[still, 2] += p["coefficient"]
+    model.geom_condim[still] = 6
+
+
+def _turning(model: mujoco.MjModel, element: str, p: Parameters) -> None:
+    still = _outrank(model, element)
+    model.geom_friction[still, 1] += p["coefficient"]
+    model.geom_condim[still] = max(model.geom_condim[still], 4)
+
+
+def _soft(model: mujoco.MjModel, element: str, p: Parameters) -> None:
+    model.geom_solref[_outrank(model, element), 0] = p["time_constant"]
+
+
+def _bouncy(model: mujoco.MjModel, element: str, p: Parameters) -> None:
+    model.geom_solref[_outrank(model, element), 1] = p["damping_ratio"]
+
+
+def _patch(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
+    """Another friction while the moving body's frame is beyond a plane."""
+    mover, _ = geoms_of(model, element)
+    still = _outrank(model, element)
+    usual, joint = float(model.geom_friction[still, 0]), int(model.body_jntadr[model.geom_bodyid[mover]])
+    at = int(model.jnt_qposadr[joint])
+    point, normal = np.asarray(p["point"]), np.asarray(p["normal"])
+
+    def rub(data: mujoco.MjData, t: float) -> None:
+        beyond = (data.qpos[at : at + 3] - point) @ normal > 0.0
+        model.geom_friction[still, 0] = usual * (p["ratio"] if beyond else 1.0)
+
+    return rub
+
+
+def _draw_region(rng: np.random.Generator, scene: Scene, element: str) -> Parameters:
+    """A vertical plane across the middle of where the body goes."""
+    turn = rng.uniform(-np.pi, np.pi)
+    places = np.array(scene.contact[element]["places"])
+    normal = np.array([np.cos(turn), np.sin(turn), 0.0])
+    middle = np.median(places, axis=0)
+    return {"point": middle, "normal": normal}
+
+
+def _often(scene: Scene, element: str) -> bool:
+    """Whether the two touch for a good part of the time."""
+    return scene.contact[element]["share"] > 0.15
+
+
+def _number(scene: Scene, element: str, place: int) -> float:
+    mover, still = geoms_of(scene.model, element)
+    return float(0.5 * (scene.model.geom_solref[mover, place] + scene.model.geom_solref[still, place]))
+
+
+def _size(scene: Scene, element: str) -> float:
+    mover, _ = geoms_of(scene.model, element)
+    return float(np.max(scene.model.geom_aabb[mover, 3:]))
+
+
+def _ratio(m: float, drawn: Parameters) -> Parameters:
+    return {"ratio": float(np.exp(m)), **drawn}
+
+
+def _solref(name: str):
+    return lambda m, drawn: {name: drawn["usual"] * float(np.exp(m))}
+
+
+def _draw_number(place: int):
+    return lambda rng, scene, element: {"usual": _number(scene, element, place)}
+
+
+CONTACT_LAWS: dict[str, Law] = {
+    "friction_error": Law(
+        "contact", {"ratio": "1"}, lambda s, e: 0.6, _ratio, signed=True, fits=_often, prepare=_slippery
+    ),
+    "friction_patch": Law(
+        "contact",
+        {"ratio": "1", "point": "m", "normal": "1"},
+        lambda s, e: 0.7,
+        _ratio,
+        draw=_draw_region,
+        signed=True,
+        fits=_often,
+        push=_patch,
+    ),
+    "rolling_friction": Law(
+        "contact",
+        {"coefficient": "m"},
+        lambda s, e: 0.3 * _size(s, e),
+        lambda m, drawn: {"coefficient": m},
+        fits=_often,
+        prepare=_rolling,
+    ),
+    "torsional_friction": Law(
+        "contact",
+        {"coefficient": "m"},
+        lambda s, e: 0.5 * _size(s, e),
+        lambda m, drawn: {"coefficient": m},
+        fits=_often,
+        prepare=_turning,
+    ),
+    "contact_stiffness": Law(
+        "contact",
+        {"time_constant": "s"},
+        lambda s, e: 0.7,
+        _solref("time_constant"),
+        draw=_draw_number(0),
+        signed=True,
+        fits=_often,
+        prepare=_soft,
+    ),
+    "restitution_error": Law(
+        "contact",
+        {"damping_ratio": "1"},
+        lambda s, e: 0.9,
+        _solref("damping_ratio"),
+        draw=_draw_number(1),
+        signed=True,
+        fits=_often,
+        prepare=_bouncy,
+    ),
+}

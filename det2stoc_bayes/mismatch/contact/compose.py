@@ -1,0 +1,259 @@
+"""A verdict on a study with contact as the content of diagnosis.json, and as arrays."""
+
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.mismatch import finding, result
+from det2stoc_bayes.mismatch.compose import PACKAGES, UNLIKELY, _drop, _shares
+from det2stoc_bayes.mismatch.conflict import tail_probability
+from det2stoc_bayes.mismatch.contact.judge import Class, Verdict, covariance, log10_bayes, worst_column
+from det2stoc_bayes.mismatch.contact.places import shares
+from det2stoc_bayes.mismatch.contact.search import Pair
+from det2stoc_bayes.mismatch.contact.window_fit import WindowFit
+from det2stoc_bayes.mismatch.contact.window_starts import LOOKED_AT
+from det2stoc_bayes.mismatch.contact.windows import STRIDE
+from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
+from det2stoc_bayes.mismatch.statements import element, parameters, statement
+from det2stoc_bayes.mismatch.where import Condition
+
+NUM_DRAWS = 1000
+LARGE = 1.5  # times what the model itself would leave: an error that is told
+
+
+class ContactComposer:
+    """Builds the finding and the arrays of one verdict."""
+
+    def __init__(self, said: Verdict, when: list[Condition], seed: int):
+        self.said, self.when, self.seed = said, when, seed
+        self.study = said.before.fit.problem.simulator.study
+        self.draws = {"before": self._draws(said.before), "after": self._draws(said.shown)}
+
+    def _draws(self, pair: Pair) -> Float[np.ndarray, "draws size"]:
+        """Of the unknowns, as normal as they are for many windows."""
+        fit = pair.fit
+        v = covariance(fit, self.said.replicas)
+        random = np.random.default_rng(self.seed)
+        z = random.multivariate_normal(fit.z, 0.5 * (v + v.T), NUM_DRAWS, method="eigh") if len(fit.z) else None
+        z = np.zeros((NUM_DRAWS, 0)) if z is None else z
+        return np.maximum(z, fit.problem.floor)
+
+    def compose(self, seconds: float) -> finding.Finding:
+        """The whole content of diagnosis.json."""
+        said = self.said
+        effects = tuple(self._effect(i) for i in range(len(said.places)))
+        named = effects if said.verdict == "mismatch" else ()
+        candidates = self._candidates() if said.verdict == "inconclusive" else []
+        fit, psi = self._scores(), self._psi()
+        where = _shares(named)
+        if named:
+            between = shares(said.before, said.after)
+            known = {e["name"] for e in where if e["kind"] == "contact"}
+            where += [{"kind": "contact", "name": n, "share": s} for n, s in between.items() if n not in known]
+        worst, ratio = worst_column(said)
+        count = len(self.study.recordings)
+        belief = {"method": "laplace", "k_hat": None, "draws": NUM_DRAWS, "evaluations": count}
+        return finding.Finding.model_validate(
+            {
+                "verdict": said.verdict,
+                "summary": self._summary(named, candidates, fit, psi),
+                "evidence": {
+                    "log10_bayes_factor": log10_bayes(said.before, said.after) if said.places else 0.0,
+                    "noise_inflation": 1.0 + max(said.excess, 0.0),
+                },
+                "where": {"elements": where, "when": [{"condition": c.text, "share": c.share} for c in self.when]},
+                "effects": named,
+                "candidates": candidates,
+                "experiment": self._experiment(candidates),
+                "fit": fit,
+                "psi": psi,
+                "seconds": seconds,
+                "versions": {name: version(name) for name in PACKAGES},
+                "seed": self.seed,
+                "belief": {"before": belief, "after": belief},
+                "predictive_check": {"p_value": None, "worst_channel": worst, "inflation": ratio},
+                "contact": {"windows": said.before.fit.windows.count, "finer_integration": said.fine},
+                "negligible": [
+                    {"name": p.placed.effect.name, "element": element(p.placed).model_dump(), "explains": s}
+                    for p, s in said.negligible
+                ],
+            }
+        )
+
+    def _effect(self, i: int) -> finding.Effect:
+        said = self.said
+        mine, *rest = said.places[i]
+        placed = said.after.fit.problem.effects[i]
+        z = self._draws(said.after)
+        given = parameters(said.after.fit, placed, z)
+        others = [m for m in mine.members if m.placed != placed]
+        equally = tuple(m.placed.label.replace("_", " ") for m in others)
+        return finding.Effect(
+            name=placed.effect.name,
+            element=element(placed),
+            law=placed.effect.law_text,
+            statement=statement(placed, given, equally),
+            probability=min(mine.chance, 1.0),
+            explains=said.explains[i],
+            recordings="all",
+            parameters=dict(given),
+            equivalent=tuple(
+                finding.Equivalent(
+                    name=m.placed.effect.name,
+                    element=element(m.placed),
+                    parameters=dict(parameters(m.fit, m.placed, self._draws(m))),
+                )
+                for m in others
+            ),
+            alternatives=tuple(_alternative(c) for c in rest[:5]),
+        )
+
+    def _candidates(self) -> list[finding.Alternative]:
+        """What could stand in the place that is least certain."""
+        place = min(self.said.places, key=lambda p: p[0].chance)
+        return sorted((_alternative(c) for c in place), key=lambda a: -a.probability)[:8]
+
+    def _experiment(self, candidates: list[finding.Alternative]) -> dict[str, Any] | None:
+        if not candidates:
+            return None
+        names = " and ".join(c.name.replace("_", " ") for c in candidates[:2])
+        text = f"Record again with other starting speeds and from other places, so that contacts differ: {names} part."
+        return {"text": text, "input": None, "initial_state": None, "expected_gain": None}
+
+    def _scores(self) -> finding.Fit:
+        said = self.said
+        before, after = said.before, said.shown
+        gain = before.held.losses - after.held.losses
+        owner = before.held.windows.recording
+        each = np.bincount(owner, gain) if len(gain) else np.zeros(0)
+        columns = before.fit.problem.segments.columns
+        time = before.fit.problem.segments.time
+        rmse = {k: _rmse(p) for k, p in (("before", before), ("after", after))}
+        return finding.Fit(
+            horizon_s=float(np.median(time[:, -1] - time[:, 0])),
+            heldout_log_density_before=-float(before.held.losses.sum()),
+            heldout_log_density_after=-float(after.held.losses.sum()),
+            difference=float(gain.sum()),
+            standard_error=float(np.std(each, ddof=1) * np.sqrt(len(each))) if len(each) > 1 else None,
+            rollout_rmse_before=dict(zip(columns, rmse["before"].tolist(), strict=True)),
+            rollout_rmse_after=dict(zip(columns, rmse["after"].tolist(), strict=True)),
+            rollout_rmse_noise=dict(zip(columns, before.fit.problem.noise.tolist(), strict=True)),
+            unexplained_share=said.unexplained if said.verdict == "mismatch" else 1.0 if said.excess > 0 else 0.0,
+            heldout_chose=bool(self.study.holdout) and bool(said.places),
+        )
+
+    def _psi(self) -> dict[str, finding.PsiChange]:
+        out = {}
+        pairs = {"before": self.said.before, "after": self.said.shown}
+        values = {k: p.fit.problem.psi(self.draws[k]) for k, p in pairs.items()}
+        here = self.said.shown.fit
+        for j, p in enumerate(self.study.parameters):
+            moments = [
+                finding.Moments(mean=float(values[k][:, j].mean()), sd=float(values[k][:, j].std())) for k in pairs
+            ]
+            tail = tail_probability(p, float(here.problem.psi(here.z)[j]))
+            out[p.name] = finding.PsiChange(before=moments[0], after=moments[1], prior_conflict=tail)
+        return out
+
+    def _summary(self, effects, candidates, fit: finding.Fit, psi) -> str:
+        said = self.said
+        if said.verdict == "no_mismatch":
+            return self._all_well(psi)
+        if said.verdict == "inconclusive":
+            each = [f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})" for c in candidates[:3]]
+            if said.unexplained >= 0.5:
+                return (
+                    f"Something was left out; the nearest in the catalogue ({each[0]}) leaves {said.unexplained:.0%} "
+                    "of the error beyond noise and contact unexplained."
+                )
+            return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
+        drop = _drop(fit, "it" if len(effects) == 1 else "them")
+        return " ".join(t for t in [*(e.statement for e in effects), drop, self._finer()] if t)
+
+    def _finer(self) -> str:
+        if not self.said.fine:
+            return ""
+        return "Errors of the believed integration show in so good a fit; hypotheses were compared by RK4."
+
+    def _all_well(self, psi) -> str:
+        said = self.said
+        count = len(said.rounds[0].screened)
+        text = f"Nothing in the catalogue ({count} candidates) explains the recordings better than the model."
+        worst, ratio = worst_column(said)
+        if said.excess > LARGE - 1:
+            text += (
+                f" But they stay unexplained: over short stretches the squared error of {worst} is {ratio:.3g} times "
+                "what the model itself would leave."
+            )
+        odd = [n for n, p in psi.items() if isinstance(p.prior_conflict, float) and p.prior_conflict < UNLIKELY]
+        if odd:
+            text += f" But {', '.join(odd)} lies far out in its prior: the believed value or its prior is wrong."
+        if said.negligible:
+            names = ", ".join(p.placed.label.replace("_", " ") for p, _ in said.negligible)
+            text += f" Significant but negligible (under {NEGLIGIBLE:.0%} of the error): {names}."
+        return " ".join(t for t in (text, self._finer()) if t)
+
+    def arrays(self) -> result.DataTree:
+        """Draws, short rollouts and the ranking of candidates: fit.nc."""
+        said = self.said
+        groups = {
+            "before/posterior": result.posterior(said.before.fit, self.draws["before"]),
+            "after/posterior": result.posterior(said.shown.fit, self.draws["after"]),
+        }
+        kinds = (("recordings", "fit", self.study.recordings), ("holdout", "held", self.study.holdout))
+        for role, name, recordings in kinds:
+            earlier, later = (_paths(getattr(p, name)) for p in (said.before, said.shown))
+            there = tuple(r for r in recordings if r.name in earlier)
+            if there:
+                runs = result.rollouts(said.before.fit, earlier, later, there, role, self.when)
+                groups |= {f"rollouts/{stem}": data for stem, data in runs.items()}
+        groups["screening"] = result.ranking(self._ranking())
+        return result.DataTree.from_dict(groups)
+
+    def _ranking(self) -> list[tuple[str, str, str, float, float, str]]:
+        first = self.said.rounds[0]
+        base = first.base.losses.sum()
+        gains = {p.placed: float(base - p.losses.sum()) for p in first.refined}
+        chance = {m.placed: c.chance for place in self.said.places[:1] for c in place for m in c.members}
+        return [
+            (
+                s.placed.effect.name,
+                s.placed.element.kind,
+                s.placed.element.name,
+                gains.get(s.placed, s.gain),
+                chance.get(s.placed, 0.0),
+                "",
+            )
+            for s in first.screened
+        ]
+
+
+def _alternative(c: Class) -> finding.Alternative:
+    placed = c.members[0].placed
+    return finding.Alternative(name=placed.effect.name, element=element(placed), probability=min(c.chance, 1.0))
+
+
+def _rmse(pair: Pair) -> Float[np.ndarray, " columns"]:
+    """Of held-out windows beyond the samples that their starts are estimated from; of fitted ones if none is held."""
+    fit = pair.held if pair.held.windows.count else pair.fit
+    problem = fit.problem
+    segments = problem.segments
+    predicted = problem.simulator.rollout(problem.request(fit.z[None], problem.guess.start))
+    error = problem.residuals(predicted).reshape(segments.values.shape)[:, LOOKED_AT:]
+    seen = segments.observed[:, LOOKED_AT:] & np.isfinite(error)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.sqrt((np.where(seen, error, 0.0) ** 2).sum((0, 1)) / seen.sum((0, 1)))
+
+
+def _paths(fit: WindowFit) -> dict[str, np.ndarray]:
+    """Predictions (samples, columns) of recordings, each sample's by the window that begins last before it."""
+    segments, predicted = fit.problem.segments, fit.windows.predicted(fit.z)
+    out = {r.name: np.full((len(r.time), len(segments.columns)), np.nan) for r in segments.recordings}
+    for s, path in enumerate(predicted):
+        record = segments.recordings[segments.recording[s]]
+        begin, length = int(segments.first[s]), int(segments.lengths[s])
+        if begin % (2 * STRIDE) == 0 or length <= STRIDE or begin + length >= len(record.time):
+            out[record.name][begin : begin + length] = path[:length]
+    return out

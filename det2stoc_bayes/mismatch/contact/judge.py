@@ -1,0 +1,156 @@
+"""From rounds of additions to a verdict on a study with contact."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from det2stoc_bayes.mismatch.contact.replicas import replicated
+from det2stoc_bayes.mismatch.contact.scales import Scales, certainty
+from det2stoc_bayes.mismatch.contact.search import Pair, Round, alike, chances
+from det2stoc_bayes.mismatch.contact.window_fit import WindowFit, fit_windows
+from det2stoc_bayes.mismatch.finding import SURE
+from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
+
+NUM_REPLICAS = 2
+FARTHEST = 4.0  # scales beyond which an error counts no more: one window that went the other way says little
+MOST_LEFT = 0.5  # of the excess error that a named effect may leave unexplained
+REPLICA_CERTAIN = 2.0  # standard errors of an excess over what the model itself would leave
+
+
+@dataclass(frozen=True, eq=False)
+class Class:
+    """Additions that predict alike, the one with the fewest parameters first, and their chance together."""
+
+    members: tuple[Pair, ...]
+    chance: float
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What is said of a study, and what it rests on."""
+
+    verdict: str
+    before: Pair
+    after: Pair
+    places: tuple[tuple[Class, ...], ...]  # for each effect of `after`, what could stand there
+    explains: tuple[float, ...]
+    unexplained: float
+    excess: float  # mean squared held-out error beyond what the model itself would leave, over the latter
+    reference: Scales
+    rounds: tuple[Round, ...]
+    fine: bool
+    replicas: tuple[WindowFit, ...]
+    negligible: tuple[tuple[Pair, float], ...] = ()
+
+    @property
+    def shown(self) -> Pair:
+        """Nothing is added that could not be named."""
+        return self.after if self.verdict == "mismatch" else self.before
+
+
+def replicas_of(fit: WindowFit, seed: int, count: int = NUM_REPLICAS) -> list[WindowFit]:
+    """Fits to what the hypothesis itself would make: the scatter and the bias of its unknowns, and its errors."""
+    out = []
+    for k in range(count):
+        windows = replicated(fit, np.random.default_rng([seed, k]))
+        out.append(fit_windows(windows, fit.z, iterations=3))
+    return out
+
+
+def squares(errors: np.ndarray, reference: Scales) -> Float[np.ndarray, " windows"]:
+    """Mean squared error of each window in scales that a right model leaves, large ones cut off."""
+    u = np.minimum((errors / reference.values) ** 2, FARTHEST**2)
+    there = np.isfinite(errors)
+    return np.where(there, u, 0.0).sum((1, 2)) / np.maximum(there.sum((1, 2)), 1)
+
+
+def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair) -> Verdict:
+    """Names the additions that recordings which were not fitted ask for, and that nothing else could stand for."""
+    replicas = replicas_of(final.fit, seed)
+    pooled = np.sqrt(np.mean([r.scales.values**2 for r in replicas], axis=0))
+    reference = Scales(np.maximum(pooled, 1e-300))
+    level = float(np.mean([squares(r.errors, reference).mean() for r in replicas]))
+    taken = [r for r in rounds if r.taken is not None]
+    start = _level(before, reference)
+    excess = start - level
+    whole = [_level(p, reference) for p in [r.taken for r in taken if r.taken is not None]]
+    if taken:
+        whole[-1] = _level(final, reference)
+    steps = np.diff([start, *whole])
+    explains = tuple(float(np.clip(-s / max(excess, 1e-9), -1.0, 1.0)) for s in steps)
+    left = float(np.clip((_level(final, reference) - level) / max(excess, 1e-9), 0.0, 1.0)) if excess > 0 else 0.0
+    random = np.random.default_rng(seed)
+    places = tuple(classes(r, random) for r in taken)
+    every = {"before": before, "rounds": tuple(rounds), "fine": fine, "replicas": tuple(replicas)}
+    common = {**every, "reference": reference, "excess": excess / level, "unexplained": left}
+    small = not taken or sum(explains) < NEGLIGIBLE or excess <= 0
+    if small:
+        out = tuple((r.taken, e) for r, e in zip(taken, explains, strict=True) if r.taken is not None)
+        return Verdict("no_mismatch", after=before, places=(), explains=(), negligible=out, **common)
+    sure = all(p[0].chance >= SURE for p in places) and left < MOST_LEFT
+    verdict = "mismatch" if sure else "inconclusive"
+    return Verdict(verdict, after=final, places=places, explains=explains, **common)
+
+
+def _level(pair: Pair, reference: Scales) -> float:
+    """Mean squared error of held-out windows, of all where too few are held out."""
+    held = squares(pair.held.errors, reference)
+    return float(held.mean() if len(held) >= 8 else np.concatenate([held, squares(pair.fit.errors, reference)]).mean())
+
+
+def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
+    """What could stand in a place, in classes that no window tells apart, most probable first; the one taken leads."""
+    pairs = list(one.refined)
+    chance = chances(pairs, random)
+    left = sorted(range(len(pairs)), key=lambda i: -chance[i])
+    found = []
+    while left:
+        best = left[0]
+        mine = [i for i in left if i == best or bool(alike(pairs[best], pairs[i]))]
+        left = [i for i in left if i not in mine]
+        fewest = min(pairs[i].placed.size for i in mine)
+        members = sorted(
+            (pairs[i] for i in mine if pairs[i].placed.size == fewest), key=lambda p: p.placed.effect.complexity
+        )
+        found.append(Class(tuple(members), float(sum(chance[i] for i in mine))))
+    taken = one.taken
+    found.sort(key=lambda c: (not any(p is taken for p in c.members), -c.chance))
+    return tuple(found)
+
+
+def gains_by_window(before: Pair, after: Pair) -> Float[np.ndarray, " windows"]:
+    """What each window gains, held-out ones last."""
+    return before.losses - after.losses
+
+
+def worst_column(verdict: Verdict) -> tuple[str, float]:
+    """The column whose error most exceeds what the model itself would leave, and by how many times in variance."""
+    final = verdict.shown.fit
+    ratio = np.log((final.scales.values / verdict.reference.values) ** 2)
+    by_column = np.exp(np.nanmean(np.where(np.isfinite(ratio), ratio, np.nan), axis=0))
+    j = int(np.nanargmax(by_column))
+    return final.problem.segments.columns[j], float(by_column[j])
+
+
+def log10_bayes(before: Pair, after: Pair) -> float:
+    """Gain in log likelihood, horizons and columns counted once for all that are correlated."""
+    gains = gains_by_window(before, after)
+    owner = np.concatenate([before.fit.windows.recording, 10_000 + before.held.windows.recording])
+    z = certainty(gains, owner)
+    return float(min(0.5 * z * abs(z), gains.sum()) / np.log(10)) if z > 0 else 0.0
+
+
+def in_contact(there: Bool[np.ndarray, "windows pairs"], gains: Float[np.ndarray, " windows"]) -> np.ndarray:
+    """Share of the gain in windows in which each pair touches."""
+    total = max(float(np.maximum(gains, 0.0).sum()), 1e-12)
+    return np.array([np.maximum(gains[there[:, k]], 0.0).sum() / total for k in range(there.shape[1])])
+
+
+def covariance(fit: WindowFit, replicas: tuple[WindowFit, ...]) -> Float[np.ndarray, "size size"]:
+    """Of the unknowns; where replicas of this very fit show a bias, that is part of it."""
+    apart = [r.z - fit.z for r in replicas if r.problem.effects == fit.problem.effects]
+    if not apart:
+        return 1.5 * fit.covariance
+    bias = np.mean(apart, axis=0)
+    return fit.covariance * (1 + 1 / len(apart)) + np.outer(bias, bias)

@@ -1,0 +1,88 @@
+"""The diagnosis of a study in which bodies touch."""
+
+import numpy as np
+
+from det2stoc_bayes.engines.contacts import share_in_contact
+from det2stoc_bayes.errors import SimulationDiverged
+from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact.compose import ContactComposer
+from det2stoc_bayes.mismatch.contact.judge import Verdict, judged
+from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
+from det2stoc_bayes.mismatch.contact.search import (
+    MAX_EFFECTS,
+    Pair,
+    Progress,
+    converged,
+    held_out,
+    look,
+    resettled,
+    settled,
+)
+from det2stoc_bayes.mismatch.contact.window_fit import WindowFit, at
+from det2stoc_bayes.mismatch.contact.window_starts import smoothed
+from det2stoc_bayes.mismatch.contact.windows import make_windows
+from det2stoc_bayes.mismatch.patch import Patch, make_patch
+from det2stoc_bayes.problem import Problem
+
+TOUCHES = 0.02  # share of states in contact from which a study is one with contact
+EVERY = 4  # without held-out recordings, of how many one is not fitted
+
+
+def touches(problem: Problem) -> bool:
+    """Whether bodies touch often enough for derivatives to fail."""
+    short = make_windows(problem).problem
+    return share_in_contact(short) >= TOUCHES
+
+
+def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactComposer, Patch]:
+    """What is to be written of a study, and the corrected simulator."""
+    progress("fitting the believed model", 0, 1)
+    before, fine = _believed(problem)
+    progress("fitting the believed model", 1, 1)
+    pool = candidates(before.fit.problem, elements_of(before.fit.windows, before.fit.z))
+    base, rounds = before, []
+    while len(rounds) < MAX_EFFECTS:
+        one = look(base, pool, progress)
+        rounds.append(one)
+        if one.taken is None:
+            break
+        base = one.taken
+    progress("scoring held-out recordings", 0, 1)
+    final = base if base is before else resettled(base)
+    said = judged(before, rounds, fine, seed, final)
+    when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
+    progress("scoring held-out recordings", 1, 1)
+    composer = ContactComposer(said, when, seed)
+    return composer, _patch(said, composer)
+
+
+def _believed(problem: Problem) -> tuple[Pair, bool]:
+    """The believed model on fitted and held-out windows, under an integration that converges if that matters."""
+    study = problem.simulator.study
+    fitted, held = study.recordings, study.holdout
+    if not held and len(fitted) > EVERY:
+        held = fitted[EVERY - 1 :: EVERY]
+        fitted = tuple(r for r in fitted if r not in held)
+    windows = make_windows(problem).on(fitted)
+    if not np.isfinite(windows.predicted(np.zeros(windows.problem.size))).any():
+        raise SimulationDiverged(f"{study.model_path}: the simulation diverges from every recorded start")
+    fit, fine = converged(settled(windows))
+    finer = (fit.problem.timestep, fit.problem.integrator)
+    others = windows.with_problem(fit.problem).on(held if held else fitted[:1])
+    start = smoothed(others, fit.problem.carry(fit.z, others.problem))
+    there = held_out(fit, start)
+    if fine and finer[0] is not None and finer[1] is not None:
+        fit = at(fit.windows.shifted(fit.z, finer[0], finer[1]), fit.z)
+        there = at(there.windows.shifted(there.z, finer[0], finer[1]), there.z, fit.scales)
+    return Pair(fit, there), fine
+
+
+def _patch(said: Verdict, composer: ContactComposer) -> Patch:
+    """The corrected simulator at the most likely psi and effects."""
+    fit: WindowFit = said.shown.fit
+    study = composer.study
+    means = fit.problem.psi(fit.z).tolist()
+    psi = dict(zip((p.name for p in study.parameters), means, strict=True))
+    values = fit.problem.effect_values(fit.z[None])
+    effects = [(e, {k: v[0] for k, v in p.items()}) for e, p in zip(fit.problem.effects, values, strict=True)]
+    return make_patch(study, psi, effects)

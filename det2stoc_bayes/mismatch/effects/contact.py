@@ -1,0 +1,285 @@
+"""Effects on what two geoms do to each other.
+
+A contact that the model lists as a pair has parameters of its own. Else the geom that touches fewer others is given
+priority, so that its parameters are the contact's, and these start as MuJoCo combines both geoms': the larger
+frictions, the mean of the rest weighted by solmix.
+"""
+
+import numpy as np
+
+from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, around
+from det2stoc_bayes.priors import Prior
+
+GEOM = ("geom_friction", "geom_solref", "geom_solimp", "geom_condim", "geom_priority")
+PAIR = ("pair_friction", "pair_solref", "pair_dim")
+MIXED = ("geom_solmix",)
+LEAST = 1e-5  # as MuJoCo has it: a friction of 0 is none
+
+
+class ContactEffect(Effect):
+    """Base: fields of a contact, as `changed(p, friction, ...)` has them; friction is sliding, turning, rolling."""
+
+    kind = "contact"
+    changes = (*GEOM, *MIXED)
+    in_mjx_fields = False
+
+    def forms(self):
+        """For geoms, and for pairs that the model lists."""
+        return (self, _paired(type(self)))
+
+    def changed(self, p, friction, solref, dim, xp):
+        """Friction (..., 3), solref (..., 2) and dimensions (...) with the effect."""
+        raise NotImplementedError
+
+    def fields(self, p, fields, at, xp):
+        """The contact's own parameters."""
+        if "pair_friction" in fields:
+            return rewritten_pair(self.changed, p, fields, at, xp)
+        return rewritten(self.changed, p, fields, at, xp)
+
+
+def _paired(form):
+    name = f"Paired{form.__name__}"
+    if form.__name__.startswith("Paired"):
+        return form()
+    if name not in _FORMS:
+        more = {
+            "changes": PAIR,
+            "needs": form.needs | {"paired"},
+            "__doc__": form.__doc__,
+            "__module__": form.__module__,
+        }
+        _FORMS[name] = type(name, (form,), more)
+    return _FORMS[name]()
+
+
+_FORMS: dict[str, type] = {}
+
+
+def rewritten(change, p, fields, at, xp):
+    """Fields of the second geom, which is given priority over the first one."""
+    a, b = at.geoms
+    friction, solref, solimp = fields["geom_friction"], fields["geom_solref"], fields["geom_solimp"]
+    share = fields["geom_solmix"][..., a] / (fields["geom_solmix"][..., a] + fields["geom_solmix"][..., b])
+    share = share[..., None]
+    own = fields["geom_priority"][..., a] == fields["geom_priority"][..., b]
+    over = fields["geom_priority"][..., b] > fields["geom_priority"][..., a]
+    own, over = own[..., None], over[..., None]
+
+    def combined(x, both):
+        return xp.where(own, both, xp.where(over, x[..., b, :], x[..., a, :]))
+
+    rubbing = combined(friction, xp.maximum(friction[..., a, :], friction[..., b, :]))
+    mean = share * solref[..., a, :] + (1 - share) * solref[..., b, :]
+    low = xp.minimum(solref[..., a, :], solref[..., b, :])
+    positive = (solref[..., a, :1] > 0) & (solref[..., b, :1] > 0)
+    ref = combined(solref, xp.where(positive, mean, low))
+    imp = combined(solimp, share * solimp[..., a, :] + (1 - share) * solimp[..., b, :])
+    dims = fields["geom_condim"][..., None]
+    dim = combined(dims, xp.maximum(dims[..., a, :], dims[..., b, :]))[..., 0]
+    rubbing, ref, dim = change(p, rubbing, ref, dim, xp)
+    first = xp.maximum(fields["geom_priority"][..., a], fields["geom_priority"][..., b]) + 1
+    row = np.arange(fields["geom_condim"].shape[-1]) == b
+    vectors = {"geom_friction": rubbing, "geom_solref": ref, "geom_solimp": imp}
+    numbers = {"geom_condim": dim, "geom_priority": first}
+    out = {n: xp.where(row[:, None], v[..., None, :], fields[n]) for n, v in vectors.items()}
+    return out | {n: xp.where(row, v[..., None], fields[n]) for n, v in numbers.items()}
+
+
+def rewritten_pair(change, p, fields, at, xp):
+    """Fields of a listed pair, whose friction has two directions to slide, one to turn and two to roll."""
+    friction, row = fields["pair_friction"], np.arange(fields["pair_dim"].shape[-1]) == at.pair
+    rubbing, ref, dim = change(
+        p,
+        friction[..., at.pair, :][..., 1:4],
+        fields["pair_solref"][..., at.pair, :],
+        fields["pair_dim"][..., at.pair],
+        xp,
+    )
+    ratio = rubbing[..., :1] / xp.maximum(friction[..., at.pair, 1:2], LEAST)
+    both = friction[..., at.pair, :2] * ratio
+    rubbing = xp.concatenate([both, rubbing[..., 1:2], rubbing[..., 2:], rubbing[..., 2:]], -1)
+    return {
+        "pair_friction": xp.where(row[:, None], rubbing[..., None, :], friction),
+        "pair_solref": xp.where(row[:, None], ref[..., None, :], fields["pair_solref"]),
+        "pair_dim": xp.where(row, dim[..., None], fields["pair_dim"]),
+    }
+
+
+def slid(friction, ratio, xp):
+    """Friction with another share of its sliding part."""
+    return xp.concatenate([xp.maximum(friction[..., :1] * ratio[..., None], LEAST), friction[..., 1:]], -1)
+
+
+class FrictionError(ContactEffect):
+    """Sliding friction is not as large as believed."""
+
+    name, law, law_text, noun = "friction_error", r"\rho\,\mu", "ratio mu", "A change of contact friction"
+    parameters = (EffectParameter("ratio", "1", absent=1.0),)
+
+    def priors(self, typical):
+        """Around 1."""
+        return {"ratio": Prior("Normal", {"loc": 1.0, "scale": 0.4})}
+
+    def changed(self, p, friction, solref, dim, xp):
+        """Scales the sliding part."""
+        return slid(friction, p["ratio"], xp), solref, dim
+
+
+class RollingFriction(ContactEffect):
+    """Rolling is resisted, too."""
+
+    name, law, law_text = "rolling_friction", r"\mu_r\,N", "a torque of coefficient N against rolling"
+    noun = "Rolling friction"
+    parameters = (EffectParameter("coefficient", "m", positive=True),)
+    complexity = 2
+
+    def priors(self, typical):
+        """A fraction of the body's size."""
+        return {"coefficient": Prior("Normal", {"loc": 0.0, "scale": 0.1 * typical.span})}
+
+    def changed(self, p, friction, solref, dim, xp):
+        """Adds to the rolling part; a contact of six directions has one."""
+        rolling = friction[..., 2:] + xp.maximum(p["coefficient"][..., None], 0.0)
+        return xp.concatenate([friction[..., :2], rolling], -1), solref, xp.maximum(dim, 6)
+
+
+class TorsionalFriction(ContactEffect):
+    """Turning on the spot is resisted, too."""
+
+    name, law, law_text = "torsional_friction", r"\mu_t\,N", "a torque of coefficient N against turning on the spot"
+    noun = "Torsional friction"
+    parameters = (EffectParameter("coefficient", "m", positive=True),)
+    complexity = 2
+
+    def priors(self, typical):
+        """A fraction of the body's size."""
+        return {"coefficient": Prior("Normal", {"loc": 0.0, "scale": 0.2 * typical.span})}
+
+    def changed(self, p, friction, solref, dim, xp):
+        """Adds to the turning part; a contact of four directions has one."""
+        turning = friction[..., 1:2] + xp.maximum(p["coefficient"][..., None], 0.0)
+        return xp.concatenate([friction[..., :1], turning, friction[..., 2:]], -1), solref, xp.maximum(dim, 4)
+
+
+class SolrefEffect(ContactEffect):
+    """Base of another number of solref: its parameter is the number itself, so that no value stands for absence."""
+
+    place = 0
+
+    def priors(self, typical):
+        """About what is believed."""
+        return {self.parameters[0].name: around(abs(typical.solref[self.place]), 0.5)}
+
+    def trials(self, typical):
+        """A little more than is believed."""
+        return [Trial(({self.parameters[0].name: abs(typical.solref[self.place]) * 1.1},), sd=1.0)]
+
+    def combine(self, trial, coefficients, typical):
+        """The same in proportion."""
+        believed = abs(typical.solref[self.place])
+        return {self.parameters[0].name: believed * float(np.exp(np.clip(0.1 * coefficients[0], -1.5, 1.5)))}
+
+
+class ContactStiffness(SolrefEffect):
+    """The contact is softer or harder than believed."""
+
+    name, law, law_text = "contact_stiffness", r"t_c", "the time constant of contact"
+    noun, place = "Another time constant of contact", 0
+    parameters = (EffectParameter("time_constant", "s"),)
+
+    def changed(self, p, friction, solref, dim, xp):
+        """solref's first number."""
+        return friction, xp.concatenate([p["time_constant"][..., None], solref[..., 1:]], -1), dim
+
+
+class RestitutionError(SolrefEffect):
+    """The contact bounces more or less than believed."""
+
+    name, law, law_text = "restitution_error", r"\zeta", "the damping ratio of contact"
+    noun, place = "Another damping ratio of contact", 1
+    parameters = (EffectParameter("damping_ratio", "1"),)
+
+    def changed(self, p, friction, solref, dim, xp):
+        """solref's second number."""
+        return friction, xp.concatenate([solref[..., :1], p["damping_ratio"][..., None]], -1), dim
+
+
+class FrictionPatch(Effect):
+    """Beyond a plane the ground is rougher or smoother; what counts is where the moving body's frame is."""
+
+    name, kind, law_text = "friction_patch", "contact", "ratio mu where (x - point).normal > 0"
+    law, noun = r"\rho\,\mu \text{ where } (\mathbf x - \mathbf p)\cdot\mathbf n > 0", "A region of other friction"
+    parameters = (
+        EffectParameter("ratio", "1", absent=1.0),
+        EffectParameter("point", "m", size=3),
+        EffectParameter("normal", "1", size=3),
+    )
+    needs = frozenset({"free"})
+    writes = GEOM
+    reads = MIXED
+    in_mjx_fields = False
+    complexity = 4
+
+    def forms(self):
+        """For geoms, and for pairs that the model lists."""
+        return (self, PairedFrictionPatch())
+
+    def priors(self, typical):
+        """Around 1; anywhere where the body was; any direction."""
+        places = np.array(typical.region) if typical.region else np.zeros((1, 3))
+        wide = float(max(places.std(0).max(), 1e-2))
+        return {
+            "ratio": Prior("Normal", {"loc": 1.0, "scale": 0.4}),
+            "point": Prior("Normal", {"loc": 0.0, "scale": float(np.abs(places).max()) + wide}),
+            "normal": Prior("Normal", {"loc": 0.0, "scale": 1.0}),
+        }
+
+    def from_normal(self, z, typical, xp=np):
+        """The normal has unit length."""
+        out = super().from_normal(z, typical, xp)
+        length = xp.sqrt(xp.sum(out["normal"] ** 2, -1))[..., None]
+        return out | {"normal": out["normal"] / xp.maximum(length, LEAST)}
+
+    def trials(self, typical):
+        """Planes across each axis and the diagonals of the ground, at several places."""
+        if not typical.region:
+            return []
+        places = np.array(typical.region)
+        flat = places[:, :2] - places[:, :2].mean(0)
+        turns = np.arange(4) * np.pi / 4
+        out = []
+        for turn in turns:
+            normal = np.array([np.cos(turn), np.sin(turn), 0.0])
+            along = flat @ normal[:2]
+            if np.ptp(along) < 0.2 * np.ptp(flat):
+                continue
+            for q in (0.25, 0.5, 0.75):
+                point = places.mean(0) + float(np.quantile(along, q)) * normal
+                out.append(Trial(({"ratio": 1.004, "point": tuple(point), "normal": tuple(normal)},)))
+        return out
+
+    def momentary(self, p, fields, s, at, xp):
+        """The contact's sliding friction for the step that begins."""
+        return rewritten(patched, {**p, "inside": beyond(p, s.q, xp)}, fields, at, xp)
+
+
+def beyond(p, place, xp):
+    """1 where a place is on the normal's side of the plane, else 0."""
+    return xp.where(xp.sum((place - p["point"]) * p["normal"], -1) > 0, 1.0, 0.0)
+
+
+def patched(p, friction, solref, dim, xp):
+    """Sliding friction times the ratio where the body is inside."""
+    return slid(friction, 1 + (p["ratio"] - 1) * p["inside"], xp), solref, dim
+
+
+class PairedFrictionPatch(FrictionPatch):
+    """The same for a pair that the model lists."""
+
+    needs = frozenset({"free", "paired"})
+    writes, reads = PAIR, ()
+
+    def momentary(self, p, fields, s, at, xp):
+        """The pair's sliding friction for the step that begins."""
+        return rewritten_pair(patched, {**p, "inside": beyond(p, s.q, xp)}, fields, at, xp)

@@ -1,0 +1,125 @@
+"""Effects of contact: both of their forms move alike in the engine and in a plain loop, and as physics has it."""
+
+from dataclasses import replace
+from types import ModuleType
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import blank_recording, make_study, state_columns
+
+from det2stoc_bayes.engines import contacts
+from det2stoc_bayes.engines.base import EffectRows, Request, Start
+from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect, Typical
+from det2stoc_bayes.mismatch.patch import make_patch
+from det2stoc_bayes.segments import cut
+from det2stoc_bayes.simulator import Simulator
+
+SCENE = """<mujoco>
+  <option timestep="0.002" integrator="implicitfast" cone="elliptic"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 0.1" friction="0.3 0.005 0.0001"/>
+    <geom name="wall" type="box" size="0.1 2 0.5" pos="3 0 0.5"/>
+    <body name="box" pos="0 0 0.0999">
+      <freejoint name="move"/>
+      <geom name="hull" type="box" size="0.1 0.1 0.1" mass="1" friction="0.3 0.005 0.0001"/>
+    </body>
+  </worldbody>{}
+</mujoco>
+"""
+PAIR = '<contact><pair name="both" geom1="floor" geom2="hull" friction="0.3 0.3 0.005 0.0001 0.0001"/></contact>'
+VALUES = {
+    "friction_error": {"ratio": 0.5},
+    "rolling_friction": {"coefficient": 0.02},
+    "torsional_friction": {"coefficient": 0.03},
+    "contact_stiffness": {"time_constant": 0.05},
+    "restitution_error": {"damping_ratio": 0.2},
+    "friction_patch": {"ratio": 0.3, "point": [0.25, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]},
+}
+TIME = np.arange(41) * 0.01
+# Falls a little, slides and turns.
+START = Start(np.array([[0.0, 0, 0.12, 1, 0, 0, 0]]), np.array([[2.0, 0.3, 0, 0, 0, 3.0]]), np.zeros((1, 0)))
+
+
+def load(text):
+    """The module of a text."""
+    module = ModuleType("effects")
+    exec(compile(text, "effects.py", "exec"), module.__dict__)
+    return module
+
+
+def scene(tmp_path, extra=""):
+    study = make_study(tmp_path / "study", SCENE.format(extra))
+    simulator = Simulator(study, num_threads=1)
+    segments = cut([blank_recording(simulator.model, TIME)])
+    pairs, _ = contacts.touching(simulator.model, START.qpos - np.array([0, 0, 0.0201, 0, 0, 0, 0]))
+    (at,) = contacts.contact_elements(simulator.model, pairs)
+    return study, simulator, segments, at
+
+
+def rollout(simulator, segments, effects=(), start=START):
+    rows = tuple(EffectRows.alike(p, 1, v) for p, v in effects)
+    request = Request(segments, np.zeros(1, int), start, simulator.fields(np.zeros((1, 0)), ["blank"]), rows)
+    return simulator.rollout(request)[0]
+
+
+def place(name, at):
+    effect = [f for f in CATALOGUE[name].forms() if f.fits(at)][-1]
+    return PlacedEffect(effect, at, Typical())
+
+
+@pytest.mark.parametrize("extra", ["", PAIR], ids=["geoms", "pair"])
+@pytest.mark.parametrize("name", VALUES)
+def test_engine_and_patched_simulator_move_alike(tmp_path, name, extra):
+    study, simulator, segments, at = scene(tmp_path, extra)
+    assert at.name == "floor/hull" and (at.pair >= 0) == bool(extra)
+    placed, values = place(name, at), VALUES[name]
+    predicted = rollout(simulator, segments, [(placed, values)])
+    patch = make_patch(study, {}, [(placed, values)])
+    model = mujoco.MjModel.from_xml_string(patch.model)
+    data, effects = mujoco.MjData(model), load(patch.module) if patch.module else None
+    data.qpos[:], data.qvel[:] = START.qpos[0], START.qvel[0]
+    if effects:
+        effects.reset(model, data)
+    out = []
+    for _ in TIME:
+        out.append(np.concatenate([data.qpos, data.qvel]))
+        for _ in range(5):
+            data.qfrc_applied[:], data.xfrc_applied[:] = 0.0, 0.0
+            if effects:
+                effects.control(model, data)
+            mujoco.mj_step(model, data)
+    # measured: below 1e-9
+    np.testing.assert_allclose(predicted, np.array(out), atol=1e-6)
+    changed = np.abs(predicted - rollout(simulator, segments)).max()
+    assert changed > 1e-3, changed
+
+
+def test_a_ratio_of_friction_scales_the_deceleration(tmp_path):
+    _, simulator, segments, at = scene(tmp_path)
+    start = replace(START, qpos=np.array([[0.0, 0, 0.1, 1, 0, 0, 0]]), qvel=np.array([[2.0, 0, 0, 0, 0, 0]]))
+    speed = list(segments.columns).index("qvel/move/vx")
+    slow = [
+        -np.diff(rollout(simulator, segments, e, start)[[15, 40], speed])[0] / 0.25
+        for e in ((), [(place("friction_error", at), {"ratio": 0.5})])
+    ]
+    # measured: 0.957 of Coulomb's, since MuJoCo's friction slips a little
+    assert slow[0] == pytest.approx(0.3 * 9.81, rel=0.06)
+    assert slow[1] == pytest.approx(0.5 * slow[0], rel=0.03)
+
+
+def test_other_contacts_of_a_geom_keep_their_friction(tmp_path):
+    _, simulator, _, at = scene(tmp_path)
+    placed = place("friction_error", at)
+    names = placed.effect.changes
+    fields = {n: np.array(getattr(simulator.model, n), float)[None] for n in names}
+    changed = placed.effect.fields({"ratio": np.array([0.5])}, fields, at, np)["geom_friction"][0]
+    hull = simulator.model.geom("hull").id
+    np.testing.assert_array_equal(changed[hull], simulator.model.geom_friction[hull])
+
+
+def test_contacts_are_named_in_alphabetical_order_and_the_still_geom_is_changed(tmp_path):
+    _, simulator, _, at = scene(tmp_path)
+    model = simulator.model
+    assert at.geoms == (model.geom("hull").id, model.geom("floor").id) and "free" in at.traits
+    assert state_columns(model)[0] == "qpos/move/x"

@@ -1,0 +1,109 @@
+"""Short windows of a sliding puck: scales, unknowns that are found again, and what is screened beside them."""
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import make_study
+
+from det2stoc_bayes.mismatch.contact.run import touches
+from det2stoc_bayes.mismatch.contact.scales import DEGREES, certainty, scales_of, scatter
+from det2stoc_bayes.mismatch.contact.search import settled
+from det2stoc_bayes.mismatch.contact.window_fit import bounded, steady
+from det2stoc_bayes.mismatch.contact.windows import FARTHEST, make_windows
+from det2stoc_bayes.problem import make_problem
+from det2stoc_bayes.simulator import Simulator
+
+XML = """<mujoco>
+  <option timestep="0.005" integrator="implicitfast" cone="elliptic"/>
+  <worldbody>
+    <geom name="table" type="plane" size="5 5 0.1" friction="0.3 0.005 0.0001"/>
+    <body name="puck" pos="0 0 {}">
+      <freejoint name="glide"/>
+      <geom name="disc" type="cylinder" size="0.05 0.02" mass="0.2" friction="0.3 0.005 0.0001"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+PSI = """[psi.friction]
+target = "geom/*/friction"
+index = [0]
+prior = { TruncatedNormal = { loc = 0.3, scale = 0.1, low = 0.05, high = 0.6 } }
+[noise]
+"qpos/*" = 5e-4
+"qvel/*" = 1e-2
+"""
+TRUTH = 0.37
+NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz"), ("vx", "vy", "vz", "wx", "wy", "wz")
+
+
+def slides(height=0.02, count=4):
+    """Recordings of a puck that is pushed, with noise."""
+    model = mujoco.MjModel.from_xml_string(XML.format(height))
+    model.geom_friction[:, 0] = TRUTH
+    random, time, out = np.random.default_rng(1), np.arange(31) * 0.01, {}
+    for k in range(count):
+        data = mujoco.MjData(model)
+        data.qvel[:2] = 1.2, 0.3 * k
+        rows = []
+        for _ in time:
+            rows.append(np.concatenate([data.qpos, data.qvel]))
+            mujoco.mj_step(model, data, 2)
+        values = np.array(rows) + np.repeat([5e-4, 1e-2], [7, 6]) * random.standard_normal((len(time), 13))
+        names = [f"qpos/glide/{n}" for n in NAMES[0]] + [f"qvel/glide/{n}" for n in NAMES[1]]
+        out[f"r{k}"] = (time, dict(zip(names, values.T, strict=True)))
+    return out
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    study = make_study(tmp_path_factory.mktemp("slides") / "study", XML.format(0.02), PSI, slides())
+    return make_problem(Simulator(study, num_threads=1))
+
+
+def test_scales_are_those_that_errors_were_drawn_with():
+    random = np.random.default_rng(0)
+    true = np.array([[2.0, 7.0], [30.0, 5.0]])
+    errors = true * random.standard_t(DEGREES, (4000, 2, 2))
+    # the sd of a scale is about 1.2 % for 4000 windows
+    np.testing.assert_allclose(scales_of(errors).values, true, rtol=0.06)
+
+
+def test_a_few_wild_windows_do_not_widen_a_scale():
+    errors = 3.0 * np.random.default_rng(0).standard_normal((400, 1, 1))
+    plain = scales_of(errors).values[0, 0]
+    errors[:20] = FARTHEST
+    assert scales_of(errors).values[0, 0] < 1.3 * plain
+
+
+def test_scatter_counts_what_neighbours_share():
+    random = np.random.default_rng(2)
+    noise = random.standard_normal((3001, 1))
+    shared = noise[1:] + noise[:-1]  # the sum's variance is 4 a window, the windows' own 2
+    recording = np.zeros(3000, int)
+    assert float(scatter(shared, recording)[0, 0]) / 3000 == pytest.approx(2 + 2 * 0.75, rel=0.1)
+    assert abs(certainty(random.standard_normal(3000), recording)) < 4
+
+
+def test_slopes_that_disagree_are_chaos_and_few_windows_do_not_rule():
+    up, down = np.array([1.0, 1.0, 50.0]), np.array([1.0, 0.98, -40.0])
+    np.testing.assert_allclose(steady(up, down), [1.0, 0.99, 0.0], atol=0.05)
+    columns = np.ones((100, 1, 1, 1))
+    columns[3] = 1000.0
+    weight = bounded(columns)
+    assert weight[3, 0, 0] == pytest.approx(0.003) and (np.delete(weight, 3, 0) == 1).all()
+
+
+def test_only_what_touches_is_a_study_with_contact(problem, tmp_path):
+    assert touches(problem)
+    high = make_study(tmp_path / "study", XML.format(9.0), PSI, slides(9.0, 1))
+    assert not touches(make_problem(Simulator(high, num_threads=1)))
+
+
+def test_friction_is_found_from_noisy_starts(problem):
+    fit = settled(make_windows(problem))
+    friction, slope = (float(problem.psi(fit.z + d)[0]) for d in (0.0, 1e-3))
+    sd = np.sqrt(fit.covariance[0, 0]) * (slope - friction) / 1e-3
+    assert sd < 0.01
+    assert abs(friction - TRUTH) < 4 * sd + 0.003, (friction, sd)
+    # measured: 1.4 noise sds in x, 145 in a rate of tilting, which a puck at rest shows by chance alone
+    assert fit.scales.values[-1, 0] < 3 < fit.scales.values.max()
