@@ -25,7 +25,7 @@ from det2stoc_bayes.blind.conceal import ConcealedCase, make_case
 from det2stoc_bayes.blind.laws import LAWS
 from det2stoc_bayes.blind.score import CaseScore, label, score
 from det2stoc_bayes.blind.summary import Row, markdown
-from det2stoc_bayes.blind.systems import SYSTEMS
+from det2stoc_bayes.blind.systems import SMOOTH, SYSTEMS
 from det2stoc_bayes.blind.variants import possible
 
 LOG = Path(__file__).parent / "results" / "concealed.jsonl"
@@ -43,7 +43,7 @@ def revision() -> str:
 class Choice:
     """From which systems cases are drawn, whether all are free of variants, and what they conceal (in turn)."""
 
-    systems: tuple[str, ...] = tuple(SYSTEMS)
+    systems: tuple[str, ...] = SMOOTH
     plain: bool = False
     names: tuple[str, ...] = ()
 
@@ -169,7 +169,7 @@ def main() -> int:
     parser.add_argument("--controls", type=int, default=5)
     parser.add_argument("--seed", help="hexadecimal; default: the first 8 digits of HEAD")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
-    parser.add_argument("--systems", nargs="+", choices=tuple(SYSTEMS), default=tuple(SYSTEMS), metavar="SYSTEM")
+    parser.add_argument("--systems", nargs="+", choices=tuple(SYSTEMS), default=SMOOTH, metavar="SYSTEM")
     parser.add_argument("--plain", action="store_true", help="no variants: states recorded evenly, noise told")
     parser.add_argument("--effects-named", nargs="+", choices=tuple(LAWS), default=(), metavar="EFFECT")
     a = parser.parse_args()

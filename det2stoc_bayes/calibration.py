@@ -9,12 +9,14 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from pydantic import TypeAdapter, ValidationError
 
 from det2stoc_bayes import coverage
 from det2stoc_bayes.errors import Det2StocError, SamplingFailed, SimulationDiverged
@@ -27,6 +29,7 @@ NUM_DRAWS = 99  # that a truth is ranked among: 100 ranks
 MOST_TIMES = 8  # the draws of a fit are drawn again for, lest they be correlated
 LEVEL = 0.01  # of all tests together
 MOST_FAILED = 0.05  # share of the replications
+MOST_FEW = 0.5  # share of the replications whose draws are worth too few
 DIGITS = 9
 
 type Replicate = Callable[[np.random.Generator], tuple[Any, Mapping[str, float]]]
@@ -123,8 +126,14 @@ def run(
 
 def _read(lines: Iterable[Mapping[str, Any]], mark: str) -> list[Replication]:
     names = Replication.__dataclass_fields__
-    of_this = [line for line in lines if line.get("made") == mark and names.keys() <= line.keys()]
-    return [Replication(**{n: line[n] for n in names}) for line in of_this]
+    known, whole = TypeAdapter(Replication), []
+    for line in lines:
+        if line.get("made") != mark:
+            continue
+        with suppress(ValidationError):  # a line that something else wrote is done again
+            one = known.validate_python({n: line[n] for n in names if n in line}, strict=True)
+            whole += [one] if all(len(row) == len(one.truth) for row in one.draws) else []
+    return whole
 
 
 @dataclass(frozen=True)
@@ -161,20 +170,27 @@ class Calibration:
 
     @property
     def calibrated(self) -> bool:
-        """Whether no test rejects, and next to all replications could be fitted."""
-        return not self.too_many_failed and self.p_tarp >= LEVEL and not any(u.rejected for u in self.unknowns)
+        """Whether no test rejects, of replications that can be judged."""
+        return not self.unjudged and self.p_tarp >= LEVEL and not any(u.rejected for u in self.unknowns)
 
     @property
-    def too_many_failed(self) -> bool:
-        """More than MOST_FAILED: those that are left are a choice."""
-        return len(self.failed) > MOST_FAILED * (len(self.failed) + len(self.ranks))
+    def unjudged(self) -> str:
+        """Why tests would say nothing, if so: those that were fitted are a choice, or draws are too few."""
+        n, every = len(self.ranks), len(self.failed) + len(self.ranks)
+        if len(self.failed) > MOST_FAILED * every:
+            return f"{len(self.failed)} of {every} replications could not be fitted"
+        if self.num_draws < NUM_DRAWS or self.num_few > MOST_FEW * n:
+            return (
+                f"of {self.num_few} of {n} replications the draws are worth fewer than {NUM_DRAWS} (more --num-samples)"
+            )
+        return ""
 
     @property
     def verdict(self) -> str:
         """One sentence."""
         n, of = len(self.ranks), f"{self.method} on {self.problem}"
-        if self.too_many_failed:
-            return f"{of} is not judged: {len(self.failed)} of {n + len(self.failed)} replications could not be fitted."
+        if self.unjudged:
+            return f"{of} is not judged: {self.unjudged}."
         least = min([self.p_tarp, *(min(u.p_chi2, u.p_uniform) for u in self.unknowns)])
         if self.calibrated:
             told = f"no test of {n} replications rejects it at {LEVEL:.0%} (least p, corrected: {least:.2g})"

@@ -18,7 +18,7 @@ from det2stoc_bayes.streams import reporting, show, show_report
 if TYPE_CHECKING:
     import det2stoc_bayes.study  # a dotted name, so that the checker of the tests can look it up
 
-MOST_DRAWS = 10_000_000
+MOST_DRAWS, MOST_SEED = 10_000_000, 2**63 - 1
 
 app = typer.Typer(
     name="det2stoc",
@@ -34,7 +34,7 @@ StudyFolder = Annotated[Path, typer.Argument(metavar="STUDY", help="The study's 
 StudyOrProblem = Annotated[
     str, typer.Argument(metavar="STUDY|PROBLEM", help="A study's folder, or a problem's name.", show_default=False)
 ]
-Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Everything random follows from it.")]
+Seed = Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Everything random follows from it.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
 Cluster = Annotated[str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler, as tcp://HOST:8786.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an unforeseen error.")]
@@ -115,10 +115,15 @@ def compare(
     with reporting(debug) as stages:
         check_folder(out / "runs")
         from det2stoc_bayes import tables, verbs
+        from det2stoc_bayes.errors import Det2StocError
         from det2stoc_bayes.files import atomic_write
         from det2stoc_bayes.mismatch.finding import plain
         from det2stoc_bayes.report.compare_page import compare_page, misfits
 
+        if seed > MOST_SEED - num_seeds:
+            raise Det2StocError(
+                f"--seed: found {seed} with --num-seeds {num_seeds}; allowed: at most {MOST_SEED} together"
+            )
         asked = [name.strip() for name in methods.split(",") if name.strip()]
         options = {"seed": seed, "num_seeds": num_seeds, "engine": engine, "num_samples": num_samples}
         options |= {"jobs": jobs, "cluster": cluster, "progress": stages}
@@ -253,6 +258,8 @@ def _study_or_problem(given: str) -> "det2stoc_bayes.study.Study | str":
     from det2stoc_bayes.models import problems
     from det2stoc_bayes.suggestions import choices
 
+    if not given:
+        raise Det2StocError(f"the study: found nothing; {choices(given, ["a study's folder", *problems()], 20)}")
     if Path(given).exists() or len(Path(given).parts) > 1:
         return _load(Path(given))
     if given not in problems():

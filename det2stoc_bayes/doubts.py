@@ -32,7 +32,7 @@ def surprising(tree: DataTree) -> str:
     if "surprise" not in tree.children:
         return ""
     told = tree["surprise"].to_dataset()
-    if not (p := float(told["p_value"])) < SURPRISING:
+    if not (p := float(told["p_value"])) <= SURPRISING:
         return ""
     here, usual = float(told["recorded"]), told["simulated"].values
     return (

@@ -82,12 +82,16 @@ def appending(
         atomic_write(path, whole)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a", encoding="utf-8") as file:
-
-            def append(line: Mapping[str, Any]) -> None:
-                file.write(json.dumps(line) + "\n")
-                file.flush()
-
-            yield lines, append
+        file = path.open("a", encoding="utf-8")
     except OSError as error:
         raise unwritable(path, error) from error
+
+    def append(line: Mapping[str, Any]) -> None:
+        try:
+            file.write(json.dumps(line) + "\n")
+            file.flush()
+        except OSError as error:
+            raise unwritable(path, error) from error
+
+    with file:
+        yield lines, append

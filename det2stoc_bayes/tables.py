@@ -248,15 +248,24 @@ def effects_json(
             "parameters": [{"name": p.name, "unit": p.unit, "size": p.size} for p in e.parameters],
             "description": (type(e).__doc__ or "").strip().splitlines()[0],
         }
-        for effect in catalogue.values()
-        for e in effect.forms()
+        for e in _forms(catalogue)
     ]
+
+
+def _forms(
+    catalogue: Mapping[str, "det2stoc_bayes.mismatch.effects.base.Effect"],
+) -> "list[det2stoc_bayes.mismatch.effects.base.Effect]":
+    """Forms that differ in what is shown: those of a contact on geoms and on a listed pair are one."""
+    forms: "dict[tuple[str, str, str], det2stoc_bayes.mismatch.effects.base.Effect]" = {}
+    for e in (form for effect in catalogue.values() for form in effect.forms()):
+        forms.setdefault((e.name, e.kind, e.law_text), e)
+    return list(forms.values())
 
 
 def effects_table(catalogue: Mapping[str, "det2stoc_bayes.mismatch.effects.base.Effect"]) -> RenderableType:
     """The catalogue."""
     made = table("effects", "name", "on a", "law", "parameters")
-    for e in (form for effect in catalogue.values() for form in effect.forms()):
+    for e in _forms(catalogue):
         units = (" or ".join([p.unit] if isinstance(p.unit, str) else p.unit) for p in e.parameters)
         sizes = ("" if p.size == 1 else f" x {p.size}" for p in e.parameters)
         named = (f"{p.name} [{unit}]{size}" for p, unit, size in zip(e.parameters, units, sizes, strict=True))

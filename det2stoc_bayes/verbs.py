@@ -116,7 +116,7 @@ def _known(name: str, out: Path, seed: int) -> "tuple[Study, Reference | None]":
     from det2stoc_bayes.models import closed_form, record
     from det2stoc_bayes.study import load_study
 
-    study = load_study(record(name, out / name))
+    study = load_study(record(name, out / "problem" / name))
     posed = make_problem(Simulator(study))
     exact = closed_form(name, posed)
     return study, None if exact is None else known_reference(*exact, posed.names, seed)

@@ -18,8 +18,8 @@ from det2stoc_bayes.study_transitions import StudyTransitions
 from det2stoc_bayes.transitions import Transitions
 from det2stoc_bayes.unknowns import population_draws
 
-NUM_REFERENCES = 199  # simulated studies
-MOST_STRETCHES = 8000  # simulated in all
+NUM_REFERENCES, FEWER = 199, 99  # simulated studies; of those with many stretches
+MANY = 400  # stretches of a study
 CLIMB = 15  # steps of Fisher scoring: heights stand before places do
 
 
@@ -45,12 +45,9 @@ class Surprise:
 
 
 def surprise(turn: Iteration, transitions: StudyTransitions, random: np.random.Generator) -> Surprise:
-    """How surprising a study's recordings are to the decoder of a turn.
-
-    A study of many stretches is held against fewer simulated ones, of which no p-value is less than their count tells.
-    """
+    """How surprising a study's recordings are to the decoder of a turn whose population they did not shape."""
     count = transitions.stretches.count
-    num = max(min(NUM_REFERENCES, MOST_STRETCHES // count), 19)
+    num = NUM_REFERENCES if count <= MANY else FEWER
     psi = _population(transitions, turn.believed, random, num)
     simulated = transitions.simulated(np.repeat(psi, count, axis=0), random)
     varies = any(p.varies == "trajectory" for p in transitions.problem.simulator.parameters)

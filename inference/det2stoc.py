@@ -60,6 +60,7 @@ def fit(
     num_proposed(1, refine)  # what it may be, told before the work
     key = as_key(key)
     learn, draw, judge = jax.random.split(key, 3)
+    look = jax.random.fold_in(judge, 1)
     with measured(problem) as cost:
         density = density_of(problem)
         transitions = StudyTransitions.of(density.problem)
@@ -73,7 +74,7 @@ def fit(
         progress(stages, stages)
         simulator = turns[-1].predictive
         told = predictions(simulator, transitions, heldout, judge)
-        unlike = surprise(turns[-1], transitions, numpy_random(judge))
+        unlike = surprise(turns[0], transitions, numpy_random(look))
     groups = {"turns": _told(density.problem, turns), "surprise": unlike.told(), "predictions": told}
     return with_groups(tree, **groups, simulator=kept(simulator, transitions))
 

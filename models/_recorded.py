@@ -33,13 +33,6 @@ class Psi:
         index = "" if self.component is None else f"index = [{self.component}]\n"
         return f'target = "{self.target}"\n{index}prior = {{ TruncatedNormal = {{ {prior} }} }}\n'
 
-    def draw(self, random: np.random.Generator) -> float:
-        """A value from the prior."""
-        while True:
-            value = random.normal(self.loc, self.scale)
-            if self.low < value < self.high:
-                return float(value)
-
     def write(self, model: mujoco.MjModel, value: float) -> None:
         """Into a compiled model."""
         kind, name, field = self.target.split("/")
@@ -64,10 +57,6 @@ class Recorded:
     def columns(self) -> tuple[str, ...]:
         """What is recorded, besides time and commands."""
         return tuple(f"{kind}/{joint}" for kind in ("qpos", "qvel") for joint in self.noise)
-
-    def draw(self, random: np.random.Generator) -> dict[str, float]:
-        """psi from the prior."""
-        return {name: psi.draw(random) for name, psi in self.psi.items()}
 
     def write_study(self, folder: Path, values: Mapping[str, float], *, seed: int = 0) -> Path:
         """A study's folder with recordings simulated under `values`."""

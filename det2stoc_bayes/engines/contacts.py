@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 MOST = 400  # states that are looked at
 
-type Names = tuple[str, str]
-
 
 def touching(
     model: mujoco.MjModel, qpos: Float[np.ndarray, "states nq"]
@@ -62,9 +60,10 @@ def pair_name(model: mujoco.MjModel, pair: tuple[int, int]) -> str:
 
 
 def contact_elements(model: mujoco.MjModel, pairs: list[tuple[int, int]]) -> list[Element]:
-    """An element for each pair that touches; the geom that stands still, or touches fewer, is the one to be changed.
+    """An element for each pair that touches; the geom that touches fewer, or stands still, is the one to be changed.
 
-    `body`, `qpos`, `dof`: of the free body that takes part, if any. Traits: paired (an explicit pair in the model).
+    `body`, `qpos`, `dof`: of the free body that takes part, if any. Traits: paired (an explicit pair in the
+    model), free, timed (solref is a time constant and a damping ratio), named (both geoms).
     """
     explicit = {
         (int(min(a, b)), int(max(a, b))): k
@@ -74,7 +73,7 @@ def contact_elements(model: mujoco.MjModel, pairs: list[tuple[int, int]]) -> lis
     out = []
     for pair in pairs:
         moves = [bool(model.body_weldid[model.geom_bodyid[g]]) for g in pair]
-        changed = min(range(2), key=lambda i: (moves[i], often[pair[i]]))
+        changed = min(range(2), key=lambda i: (often[pair[i]], moves[i]))
         geoms = (pair[1 - changed], pair[changed])
         body = next((int(model.geom_bodyid[g]) for g, m in zip(pair, moves, strict=True) if m), -1)
         at = Element("contact", pair_name(model, pair), geoms=geoms, pair=explicit.get(pair, -1), body=body)
@@ -83,7 +82,10 @@ def contact_elements(model: mujoco.MjModel, pairs: list[tuple[int, int]]) -> lis
         if free:
             at = replace(at, dof=int(model.jnt_dofadr[joint]), qpos=int(model.jnt_qposadr[joint]))
         alone = free and not all(moves)
-        traits = {t for t, on in (("paired", at.pair >= 0), ("free", alone)) if on}
+        solref = model.pair_solref[[at.pair]] if at.pair >= 0 else model.geom_solref[list(pair)]
+        named = all(model.geom(g).name and "/" not in model.geom(g).name for g in pair)
+        has = {"paired": at.pair >= 0, "free": alone, "timed": (solref[:, 0] > 0).all(), "named": named}
+        traits = {trait for trait, on in has.items() if on}
         out.append(replace(at, traits=frozenset(traits)))
     return out
 

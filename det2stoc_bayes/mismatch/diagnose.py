@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from det2stoc_bayes.errors import SimulationDiverged
+from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged
 from det2stoc_bayes.files import atomic_write
 from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.belief import Sampler, Temper
@@ -81,6 +81,11 @@ def diagnose(
     progress("fitting the believed model", 0, 1)
     problem = make_problem(simulator)
     if touches(problem):
+        if sampler is not None:
+            raise MethodNotApplicable(
+                f"{study.model_path}: bodies touch, and what short windows infer has no posterior that NUTS could draw "
+                "from; allowed: a diagnosis without --exact"
+            )
         composer, patch = diagnosed(problem, seed, progress)
         return Diagnosis(composer.compose(time.perf_counter() - began), composer.arrays(), patch, study)
     declared = climb(problem)

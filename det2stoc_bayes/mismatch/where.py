@@ -21,9 +21,12 @@ class Condition:
     share: float
     variable: str
     threshold: float
+    below: bool = False
 
     def holds(self, value: np.ndarray) -> np.ndarray:
         """Where the rule holds, given its variable's values."""
+        if self.below:
+            return value < self.threshold
         return (np.abs(value) if self.text.startswith("abs") else value) > self.threshold
 
 

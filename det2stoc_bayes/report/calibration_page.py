@@ -14,7 +14,7 @@ def calibration_page(found: Calibration) -> str:
         "calibration.html.j2",
         title=f"{found.method} on {found.problem}: calibration",
         verdict="no_mismatch" if found.calibrated else "mismatch",
-        badge="Calibrated" if found.calibrated else "Not judged" if found.too_many_failed else "Not calibrated",
+        badge="Calibrated" if found.calibrated else "Not judged" if found.unjudged else "Not calibrated",
         found=found,
         level=f"{LEVEL:.0%}",
         rows=[_row(u) for u in found.unknowns],

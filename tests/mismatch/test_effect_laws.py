@@ -221,7 +221,7 @@ def armature(spec, model):
 
 
 def stopped(spec, model):
-    spec.joint("elbow").limited, spec.joint("elbow").range = True, np.rad2deg([-100.0, 0.15])
+    spec.joint("elbow").limited, spec.joint("elbow").range = True, np.rad2deg([-100.0, VALUES["HardStop"]["position"]])
 
 
 def damped(spec, model):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import Scales, certainty
@@ -139,12 +139,6 @@ def log10_bayes(before: Pair, after: Pair) -> float:
     owner = np.concatenate([before.fit.windows.recording, 10_000 + before.held.windows.recording])
     z = certainty(gains, owner)
     return float(min(0.5 * z * abs(z), gains.sum()) / np.log(10)) if z > 0 else 0.0
-
-
-def in_contact(there: Bool[np.ndarray, "windows pairs"], gains: Float[np.ndarray, " windows"]) -> np.ndarray:
-    """Share of the gain in windows in which each pair touches."""
-    total = max(float(np.maximum(gains, 0.0).sum()), 1e-12)
-    return np.array([np.maximum(gains[there[:, k]], 0.0).sum() / total for k in range(there.shape[1])])
 
 
 def covariance(fit: WindowFit, replicas: tuple[WindowFit, ...]) -> Float[np.ndarray, "size size"]:

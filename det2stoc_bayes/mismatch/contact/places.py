@@ -27,12 +27,12 @@ def touching_windows(pair: Pair) -> tuple[list[str], Bool[np.ndarray, "windows p
     model = pair.fit.problem.simulator.model
     parts = []
     for fit in (pair.fit, pair.held):
-        qpos = contacts.predicted_states(fit.problem, fit.z)[:, [0, -1]]
+        qpos = contacts.predicted_states(fit.problem, fit.z)[:, ::2]
         parts.append(np.where(np.isfinite(qpos), qpos, model.qpos0))
     states = np.concatenate(parts)
     pairs, there = contacts.touching(model, states.reshape(-1, model.nq))
     names = [contacts.pair_name(model, p) for p in pairs]
-    return names, there.reshape(len(states), 2, len(pairs)).any(1)
+    return names, there.reshape(*states.shape[:2], len(pairs)).any(1)
 
 
 def shares(before: Pair, after: Pair) -> dict[str, float]:
@@ -69,7 +69,7 @@ def conditions(before: Pair, after: Pair) -> list[Condition]:
 
 
 def _rule(text: str, share: float, variable: str, threshold: float) -> Condition:
-    return Condition(text, share, variable, float(f"{threshold:.3g}"))
+    return Condition(text, share, variable, float(f"{threshold:.3g}"), below="<" in text)
 
 
 def _columns(pair: Pair) -> dict[str, np.ndarray]:

@@ -12,6 +12,7 @@ from det2stoc_bayes.mismatch.contact.search import (
     MAX_EFFECTS,
     Pair,
     Progress,
+    Round,
     converged,
     held_out,
     look,
@@ -39,10 +40,12 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     progress("fitting the believed model", 0, 1)
     before, fine = _believed(problem)
     progress("fitting the believed model", 1, 1)
-    pool = candidates(before.fit.problem, elements_of(before.fit.windows, before.fit.z))
+    # Of a lone recording nothing is held out, and nothing can be proven.
+    alone = len(problem.simulator.study.recordings) == 1 and not problem.simulator.study.holdout
+    pool = [] if alone else candidates(before.fit.problem, elements_of(before.fit.windows, before.fit.z))
     base, rounds = before, []
     while len(rounds) < MAX_EFFECTS:
-        one = look(base, pool, progress)
+        one = look(base, pool, progress) if pool else Round(base, (), (), None)
         rounds.append(one)
         if one.taken is None:
             break
@@ -60,8 +63,8 @@ def _believed(problem: Problem) -> tuple[Pair, bool]:
     """The believed model on fitted and held-out windows, under an integration that converges if that matters."""
     study = problem.simulator.study
     fitted, held = study.recordings, study.holdout
-    if not held and len(fitted) > EVERY:
-        held = fitted[EVERY - 1 :: EVERY]
+    if not held and len(fitted) > 1:
+        held = fitted[EVERY - 1 :: EVERY] or fitted[-1:]
         fitted = tuple(r for r in fitted if r not in held)
     windows = make_windows(problem).on(fitted)
     if not np.isfinite(windows.predicted(np.zeros(windows.problem.size))).any():

@@ -166,6 +166,7 @@ class SolrefEffect(ContactEffect):
     """Base of another number of solref: its parameter is the number itself, so that no value stands for absence."""
 
     place = 0
+    needs = frozenset({"timed"})
 
     def priors(self, typical):
         """About what is believed."""
@@ -215,7 +216,7 @@ class FrictionPatch(Effect):
         EffectParameter("point", "m", size=3),
         EffectParameter("normal", "1", size=3),
     )
-    needs = frozenset({"free"})
+    needs = frozenset({"free", "named"})
     writes = GEOM
     reads = MIXED
     in_mjx_fields = False
@@ -277,7 +278,7 @@ def patched(p, friction, solref, dim, xp):
 class PairedFrictionPatch(FrictionPatch):
     """The same for a pair that the model lists."""
 
-    needs = frozenset({"free", "paired"})
+    needs = frozenset({"free", "named", "paired"})
     writes, reads = PAIR, ()
 
     def momentary(self, p, fields, s, at, xp):
