@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,13 +43,22 @@ class ConcealedCase:
     study_files: dict[str, str]
     answer: dict[str, Any]
 
+    def encoded(self) -> dict[str, bytes]:
+        """The study's files, and nothing of the answer."""
+        return {name: text.encode("utf-8") for name, text in self.study_files.items()}
+
     def write(self, folder: Path) -> Path:
-        """Write the study's files, and nothing of the answer."""
-        for name, text in self.study_files.items():
-            path = Path(folder) / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-        return Path(folder)
+        """Write the study's files."""
+        return write_files(folder, self.encoded())
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> Path:
+    """Files by their path in a folder."""
+    for name, content in files.items():
+        path = Path(folder) / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return Path(folder)
 
 
 @QUIET  # sizes are tried that a simulation does not survive
@@ -91,9 +101,9 @@ def make_case(
         found = _draw(rng, probe, wanted, size)
         made = None if found is None else record(rng, setting, probe, found, num_recordings)
         if found is not None and made is not None:
-            files, varied = made
+            files, more = made
             samples = num_recordings * probe.plain[0].size
-            return ConcealedCase(seed, files, _answer(rng, setting, probe, found, samples) | varied)
+            return ConcealedCase(seed, files, _answer(rng, setting, probe, found, samples) | more)
     names = " and ".join(name or "an effect" for name in wanted)
     raise ValueError(
         f"{names} on {system or 'any system'}: no draw within its physical range leaves {SMALLEST:g} noise sds that "
