@@ -14,9 +14,8 @@ from threading import Lock
 from typing import Any
 
 import det2stoc_bayes
-from det2stoc_bayes.blind.conceal import write_files
 from det2stoc_bayes.errors import Det2StocError
-from det2stoc_bayes.report.glimpse import glimpse
+from det2stoc_bayes.files import write_all
 
 DIAGNOSE = ("-m", "det2stoc_bayes", "diagnose")  # of this Python, followed by STUDY --out DIR
 INTERRUPTED = (130, -signal.SIGINT, -signal.SIGTERM)
@@ -76,7 +75,7 @@ def diagnosed(
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         study, out, said = folder / "study", folder / "out", folder / "said"
-        write_files(study, files)
+        write_all(study, files)
         package = str(Path(det2stoc_bayes.__file__).parents[1])
         paths = [package, *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
@@ -92,6 +91,12 @@ def diagnosed(
         if code or not result.is_file():
             told = said.read_text("utf-8", errors="replace")[-LONGEST:]
             return Outcome({"verdict": f"failed ({code})", "error": told}, None, seconds, megabytes)
-        found = out / "fit.nc"
-        rollout = glimpse(found) if found.is_file() else None
-        return Outcome(json.loads(result.read_text("utf-8")), rollout, seconds, megabytes)
+        return Outcome(json.loads(result.read_text("utf-8")), _rollout(out / "fit.nc"), seconds, megabytes)
+
+
+def _rollout(path: Path) -> dict[str, Any] | None:
+    if not path.is_file():
+        return None
+    from det2stoc_bayes.report.glimpse import glimpse  # it takes a second to import
+
+    return glimpse(path)

@@ -3,7 +3,6 @@
 import argparse
 import json
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from det2stoc_bayes.blind.sizing import (
 from det2stoc_bayes.blind.systems import SYSTEMS
 from det2stoc_bayes.blind.variants import VARIANTS, Setting, choose, possible
 from det2stoc_bayes.engines.quiet import QUIET
+from det2stoc_bayes.files import write_all
 
 ATTEMPTS = 6  # draws of a system, psi and experiments
 FEWEST_SAMPLES = 20
@@ -49,16 +49,7 @@ class ConcealedCase:
 
     def write(self, folder: Path) -> Path:
         """Write the study's files."""
-        return write_files(folder, self.encoded())
-
-
-def write_files(folder: Path, files: Mapping[str, bytes]) -> Path:
-    """Files by their path in a folder."""
-    for name, content in files.items():
-        path = Path(folder) / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    return Path(folder)
+        return write_all(folder, self.encoded())
 
 
 @QUIET  # sizes are tried that a simulation does not survive
