@@ -16,8 +16,7 @@ class EffectScore:
     """How one concealed effect was diagnosed; None where a question does not apply.
 
     `named`: a claim has its name and element, or an accepted equivalent's. `placed`: a claim is on its element.
-    `listed`: it is among the claims or the candidates of an inconclusive diagnosis. `variables`: those that a law on no
-    list depends on are named.
+    `listed`: it is among the claims or the candidates of an inconclusive diagnosis.
     """
 
     truth: str
@@ -26,7 +25,6 @@ class EffectScore:
     listed: bool
     estimates: Estimates = Estimates()
     probability: float | None = None
-    variables: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -130,12 +128,7 @@ def _judge(truth: Json, claims: Sequence[Json], candidates: Sequence[Json], clai
         return EffectScore(label(truth), False, placed, listed)
     right, given = matches(members, claims[claim])[0]
     estimates = compare_parameters(right.get("parameters", {}), given.get("parameters", {}), right.get("judged", {}))
-    variables = _same_variables(right.get("parameters", {}), given.get("parameters", {}))
-    return EffectScore(label(truth), True, placed, listed, estimates, claims[claim].get("probability"), variables)
-
-
-def _same_variables(right: Json, given: Json) -> bool | None:
-    return set(right["variables"]) == set(given.get("variables") or ()) if "variables" in right else None
+    return EffectScore(label(truth), True, placed, listed, estimates, claims[claim].get("probability"))
 
 
 def pairing(truths: Sequence[Json], claims: Sequence[Json]) -> dict[int, int]:
@@ -183,4 +176,11 @@ def _given(entry: Json) -> list[Json]:
 
 def matches(members: Sequence[Json], entry: Json) -> list[tuple[Json, Json]]:
     """Pairs of a right answer and what an entry of a diagnosis says, of the same name and element."""
-    return [(m, g) for m in members for g in _given(entry) if m["name"] == g["name"] and same_element(m, g)]
+    pairs = [(m, g) for m in members for g in _given(entry)]
+    return [(m, g) for m, g in pairs if m["name"] == g["name"] and same_element(m, g) and _same_variables(m, g)]
+
+
+def _same_variables(right: Json, given: Json) -> bool:
+    """Whether an effect on no list is said to depend on what it depends on; a candidate need not say it."""
+    found = (given.get("parameters") or {}).get("variables")
+    return "variables" not in right or found is None or set(found) == set(right["variables"])

@@ -67,7 +67,6 @@ class Summary:
     systems: tuple[Tally, ...]
     coverage: tuple[Coverage, ...]
     reliability: Reliability | None
-    variables: tuple[int, int]  # of laws on no list that were named: right variables, of all
 
     @property
     def whole(self) -> Tally:
@@ -89,13 +88,11 @@ def row(line: Mapping[str, Any]) -> Row:
 
 def summarize(rows: Sequence[Row]) -> Summary:
     """The figures of at least one case."""
-    told = [e.variables for r in rows for e in r.score.effects if e.variables is not None]
     return Summary(
         (*_tallies(rows, lambda r: r.kind), _tally("all", rows)),
         _tallies(rows, lambda r: r.system),
         pooled(rows),
         reliability([group for r in rows for group in r.stated]),
-        (sum(told), len(told)),
     )
 
 
@@ -184,8 +181,7 @@ def sentences(told: Summary) -> list[str]:
             f"{r.num_statements} stated probabilities (p = {r.p_value:.2g} if they are right): log score "
             f"{r.log_score:.3f} nat a finding, {r.expected:.3f} if they are right; Brier score {r.brier:.4f}"
         )
-    right, count = told.variables
-    return [*lines, f"laws on no list: the variables of {right} of {count} are right"] if count else lines
+    return lines
 
 
 def _remark(one: CaseScore) -> str:
