@@ -87,7 +87,8 @@ def read(log: Path) -> tuple[list[Line], int]:
         except ValueError:
             line = None
         found = list(_told([line] if isinstance(line, dict) else []))
-        lines, other = lines + found, other + (not found)
+        lines += found
+        other += not found
     keyed = {(x.get("commit"), x.get("seed"), json.dumps(x.get("choice")), x["kind"], x["index"]): x for x in lines}
     return list(keyed.values()), other
 
@@ -95,7 +96,8 @@ def read(log: Path) -> tuple[list[Line], int]:
 def _told(lines: Iterable[Line]) -> Iterator[Line]:
     """Lines that are cases."""
     for line in lines:
-        if {"kind", "index", "answer", "diagnosis", "seconds", "peak_mb"} <= line.keys() and line["kind"] in KINDS:
+        whole = {"kind", "index", "answer", "diagnosis", "seconds", "peak_mb"} <= line.keys() and line["kind"] in KINDS
+        if whole and "effects" in line["answer"] and "verdict" in line["diagnosis"]:
             yield line
 
 
