@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from concealed import append, revision
+from logs import append
 from real import studies
+
+from det2stoc_bayes.blind.proof import revision
 
 LOG = Path(__file__).parent / "results" / "amortized.jsonl"
 METHODS = ("baseline_cvae", "det2stoc")

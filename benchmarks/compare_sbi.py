@@ -15,8 +15,9 @@ from typing import Any
 
 import jax
 import numpy as np
-from concealed import append, logged, revision
+from logs import append, logged
 
+from det2stoc_bayes.blind.proof import revision
 from det2stoc_bayes.inference._flow import ConditionalFlow, train
 from det2stoc_bayes.psis import effective_draws, resampled, smooth
 from det2stoc_bayes.two_samples_jax import c2st

@@ -6,9 +6,11 @@ Lines go to benchmarks/results/growth.jsonl; ratios to the smallest study, all i
 import argparse
 from pathlib import Path
 
-from concealed import append, diagnosed, revision
+from logs import append
 
+from det2stoc_bayes.blind.child import diagnosed
 from det2stoc_bayes.blind.conceal import make_case
+from det2stoc_bayes.blind.proof import revision
 from det2stoc_bayes.blind.score import score
 
 LOG = Path(__file__).parent / "results" / "growth.jsonl"
@@ -28,14 +30,14 @@ def main() -> int:
         first = None
         for times in TIMES:
             case = make_case(seed, system=system, effect=effect, num_recordings=FEWEST * times)
-            diagnosis, seconds, megabytes = diagnosed(case)
-            named = score(case.answer, diagnosis).named
+            found = diagnosed(case.encoded())
+            named, seconds = score(case.answer, found.diagnosis).named, found.seconds
             first = first or seconds
             line = {"commit": commit, "seed": seed, "system": system, "effect": effect, "recordings": FEWEST * times}
-            line |= {"named": named, "seconds": round(seconds, 1), "peak_mb": round(megabytes, 1)}
+            line |= {"named": named, "seconds": round(seconds, 1), "peak_mb": round(found.megabytes, 1)}
             append(LOG, line)
             cells = (system, effect, FEWEST * times, named, f"{seconds:.0f}", f"{seconds / first / times:.2f}")
-            print(f"| {' | '.join(map(str, cells))} | {megabytes:.0f} |", flush=True)
+            print(f"| {' | '.join(map(str, cells))} | {found.megabytes:.0f} |", flush=True)
     return 0
 
 

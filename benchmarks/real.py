@@ -13,7 +13,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from concealed import append, revision
+from logs import append
+
+from det2stoc_bayes.blind.proof import revision
 
 LOG = Path(__file__).parent / "results" / "real.jsonl"
 KEPT = ("verdict", "summary", "effects", "candidates", "negligible", "evidence", "fit", "psi", "seconds")

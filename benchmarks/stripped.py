@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-from concealed import append
+from logs import append
 from real import diagnosed
 
 LOG = Path(__file__).parent / "results" / "stripped.jsonl"

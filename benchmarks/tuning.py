@@ -14,8 +14,9 @@ from typing import Any
 
 import jax
 import numpy as np
-from concealed import append, logged, revision
+from logs import append, logged
 
+from det2stoc_bayes.blind.proof import revision
 from det2stoc_bayes.inference._amortized import Options, Population, baseline, iterate
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.models import windy_slope

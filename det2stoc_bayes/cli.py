@@ -273,3 +273,6 @@ def _load(folder: Path) -> "det2stoc_bayes.study.Study":
     from det2stoc_bayes.study import load_study
 
     return load_study(folder)
+
+
+from det2stoc_bayes import cli_blind as cli_blind  # noqa: E402  a command that takes its options from here

@@ -94,14 +94,14 @@ def finished[Item, Result](
     waiting = {executor.submit(_alone, function, item): item for item in items}
     try:
         for future in as_completed(list(waiting)):
-            yield waiting.pop(future), lambda done=future: _result(done)
+            yield waiting.pop(future), lambda done=future: result_of(done)
     finally:
         for future in waiting:
             future.cancel()
 
 
-def _result(future: Future) -> Any:
-    """What a worker found; its end as one line."""
+def result_of(future: Future) -> Any:
+    """What a worker found, once it has; its end as one line."""
     try:
         return future.result()
     except BrokenProcessPool as error:

@@ -65,6 +65,15 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
         os.fsync(file.fileno())
 
 
+def write_all(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> Path:
+    """Write files by their path in a new folder, which it gives."""
+    for name, content in files.items():
+        path = Path(folder) / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return Path(folder)
+
+
 @contextmanager
 def appending(
     path: str | os.PathLike[str],

@@ -9,6 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 EDGE = (
     "cli.py",
+    "cli_blind.py",
     "streams.py",
     "verbs.py",
     "tables.py",

@@ -13,6 +13,9 @@ from functools import partial
 import pytest
 
 from det2stoc_bayes import verbs
+from det2stoc_bayes.blind import proof
+from det2stoc_bayes.blind.conceal import ConcealedCase
+from det2stoc_bayes.blind.draw import Choice
 from det2stoc_bayes.errors import Det2StocError, SamplingFailed
 from det2stoc_bayes.executors import WorkersLost, finished, workers
 from det2stoc_bayes.models import linear_gaussian
@@ -173,3 +176,26 @@ def test_methods_and_seeds_are_compared_on_a_cluster_as_here(cluster, tmp_path):
     assert sorted(p.name for p in (tmp_path / "there" / "runs").iterdir()) == [
         "laplace.nc", "laplace_seed_1.nc", "prior.nc", "prior_seed_1.nc",
     ]  # fmt: skip
+
+
+DIAGNOSIS = """
+import pathlib, sys
+out = pathlib.Path(sys.argv[3])
+out.mkdir()
+said = pathlib.Path(sys.argv[1], "study.toml").read_text()
+(out / "diagnosis.json").write_text('{"verdict": "no_mismatch", "summary": "%s %s"}' % (said, pathlib.Path.cwd().name))
+"""
+
+
+def nothing_concealed(seed, kind, index, choice):
+    return ConcealedCase(index, {"study.toml": f"study {index}"}, {"verdict": "no_mismatch", "effects": [], "psi": {}})
+
+
+def test_concealed_studies_go_to_a_cluster_as_files(cluster, tmp_path):
+    script = tmp_path / "diagnosis.py"
+    script.write_text(DIAGNOSIS)
+    options = {"seed": "1", "draw": nothing_concealed, "arguments": (str(script),), "cluster": cluster.address}
+    lines = proof.run({"control": 3}, Choice(), tmp_path / "log.jsonl", **options)
+    assert [line["said"] for line in lines] == ["no_mismatch"] * 3
+    said = [line["diagnosis"]["summary"].split() for line in lines]
+    assert [words[1] for words in said] == ["0", "1", "2"] and len({words[2] for words in said}) == 3

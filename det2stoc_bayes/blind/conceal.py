@@ -28,6 +28,7 @@ from det2stoc_bayes.blind.sizing import (
 from det2stoc_bayes.blind.systems import SYSTEMS
 from det2stoc_bayes.blind.variants import VARIANTS, Setting, choose, possible
 from det2stoc_bayes.engines.quiet import QUIET
+from det2stoc_bayes.files import write_all
 
 ATTEMPTS = 6  # draws of a system, psi and experiments
 FEWEST_SAMPLES = 20
@@ -42,13 +43,13 @@ class ConcealedCase:
     study_files: dict[str, str]
     answer: dict[str, Any]
 
+    def encoded(self) -> dict[str, bytes]:
+        """The study's files, and nothing of the answer."""
+        return {name: text.encode("utf-8") for name, text in self.study_files.items()}
+
     def write(self, folder: Path) -> Path:
-        """Write the study's files, and nothing of the answer."""
-        for name, text in self.study_files.items():
-            path = Path(folder) / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-        return Path(folder)
+        """Write the study's files."""
+        return write_all(folder, self.encoded())
 
 
 @QUIET  # sizes are tried that a simulation does not survive
@@ -91,9 +92,9 @@ def make_case(
         found = _draw(rng, probe, wanted, size)
         made = None if found is None else record(rng, setting, probe, found, num_recordings)
         if found is not None and made is not None:
-            files, varied = made
+            files, more = made
             samples = num_recordings * probe.plain[0].size
-            return ConcealedCase(seed, files, _answer(rng, setting, probe, found, samples) | varied)
+            return ConcealedCase(seed, files, _answer(rng, setting, probe, found, samples) | more)
     names = " and ".join(name or "an effect" for name in wanted)
     raise ValueError(
         f"{names} on {system or 'any system'}: no draw within its physical range leaves {SMALLEST:g} noise sds that "

@@ -13,11 +13,15 @@ ANGLES = ("phase", "direction")
 
 @dataclass(frozen=True)
 class Estimates:
-    """All intervals cover; relative error, interval width and narrowness of the first parameter."""
+    """Of an effect's size, its first parameter but angles: is it covered, relative error, interval width, narrowness.
+
+    `inside` says of every judged component of all parameters whether its interval holds it.
+    """
 
     covers: bool | None = None
     error: float | None = None
     width: float | None = None
+    inside: tuple[bool, ...] = ()
 
     @property
     def narrow(self) -> bool | None:
@@ -30,9 +34,9 @@ def compare_parameters(truth: Json, given: Json, judged: Mapping[str, list[int]]
 
     Errors and widths are relative to the change from no effect; a vector's to its length.
     """
-    given, covered, size = _alike_amplitude(given, truth.get("amplitude")), [], None
+    given, inside, size = _alike_amplitude(given, truth.get("amplitude")), [], None
     for key, value in truth.items():
-        if key in ("timestep", "integrator"):  # any that converges is right
+        if key in ("timestep", "integrator", "variables", "curve"):  # any that converges is right; no numbers
             continue
         parts = [
             (v, *estimate)
@@ -41,21 +45,20 @@ def compare_parameters(truth: Json, given: Json, judged: Mapping[str, list[int]]
         ]
         if key in ANGLES:
             parts = [(v + 2.0 * math.pi * round((m - v) / (2.0 * math.pi)), m, a, b) for v, m, a, b in parts]
-        covered += [low <= v <= high for v, _, low, high in parts]
+        mine = [low <= v <= high for v, _, low, high in parts]
+        inside += mine
         length = math.hypot(*(v - NEUTRAL.get(key, 0.0) for v, *_ in parts))
         if size is None and length > 0.0 and key not in ANGLES:
             error = math.hypot(*(m - v for v, m, *_ in parts))
-            size = (error / length, math.hypot(*(high - low for *_, low, high in parts)) / length)
-    error, width = size or (None, None)
-    return Estimates(all(covered) if covered else None, error, width)
+            size = (all(mine), error / length, math.hypot(*(high - low for *_, low, high in parts)) / length)
+    covers, error, width = size or (None, None, None)
+    return Estimates(covers, error, width, tuple(inside))
 
 
-def compare_psi(truth: Mapping[str, float], given: Json) -> tuple[float | None, float | None]:
-    """Shares of psi that are covered by mean +- 1.96 sd, and whose such interval is narrow."""
-    inside = list(_psi(truth, given))
-    if not inside:
-        return None, None
-    return sum(c for c, _ in inside) / len(inside), sum(n for _, n in inside) / len(inside)
+def compare_psi(truth: Mapping[str, float], given: Json) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
+    """Of each psi whether mean +- 1.96 sd covers it, and whether that interval is narrow."""
+    told = list(_psi(truth, given))
+    return tuple(inside for inside, _ in told), tuple(narrow for _, narrow in told)
 
 
 def _psi(truth: Mapping[str, float], given: Json) -> Iterator[tuple[bool, bool]]:

@@ -18,7 +18,7 @@ LEAST = 1.5  # RMS in noise sds that psi cannot absorb, of each effect in the re
 def record(
     rng: np.random.Generator, setting: Setting, probe: Probe, found: list[Found], num_recordings: int
 ) -> tuple[dict[str, str], dict[str, Any]] | None:
-    """The files' texts by name, and what varied: the spread of psi and each recording's values.
+    """The files' texts by name, and more of the answer: the true simulator's held-out error, what varied and how.
 
     None where an effect hardly shows in what is to be fitted, as a limit that is not reached there.
     """
@@ -52,10 +52,15 @@ def record(
     }
     for stem, (times, _, inputs), columns in zip(stems, tables, spoiled, strict=True):
         files[f"{stem}.csv"] = csv_text(system, controls, times, columns, inputs)
+    held = zip(runs[num_recordings:], tables[num_recordings:], strict=True)
+    errors = np.concatenate([noisy - run[4] for run, (_, noisy, _) in held])
+    answer: dict[str, Any] = {
+        "truth_rmse": dict(zip(system.columns(), np.sqrt(np.mean(errors**2, 0)).tolist(), strict=True))
+    }
     if not setting.varying:
-        return files, {}
+        return files, answer
     each = {stem: {key: v for key, v in values.items() if "/" not in key} for stem, values in own.items()}
-    return files, {"varying": {"spread": setting.varying, "recordings": each}}
+    return files, answer | {"varying": {"spread": setting.varying, "recordings": each}}
 
 
 def _shows(found: Found, effects: list[Effect], probe: Probe, runs: list[tuple]) -> bool:

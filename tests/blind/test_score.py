@@ -4,13 +4,16 @@ import io
 import math
 import subprocess
 
+import numpy as np
 import pytest
 from rich.console import Console
+from scipy import stats
 
 from det2stoc_bayes.blind import demo
 from det2stoc_bayes.blind.conceal import make_case
-from det2stoc_bayes.blind.score import score
-from det2stoc_bayes.blind.summary import markdown, summary
+from det2stoc_bayes.blind.score import heldout_errors, improvement, score
+from det2stoc_bayes.blind.statements import Group, groups, reliability
+from det2stoc_bayes.blind.summary import markdown, pooled, row, summarize
 
 
 def entry(name, kind, element, **parameters):
@@ -44,7 +47,7 @@ def test_the_concealed_name_and_its_equivalents_are_right():
     told = one.effects[0].estimates
     assert told.covers and told.narrow
     assert told.error == pytest.approx(0.02) and told.width == pytest.approx(0.24)
-    assert one.psi_covered == 0.5 and one.psi_narrow == 1.0
+    assert one.psi_inside == (True, False) and one.psi_narrow == (True, True)
     listed = entry("cubic_stiffness", "joint", "rail", stiffness=estimate(1, 0, 2)) | {"equivalent": [DRAG]}
     assert score(ANSWER, claim(listed)).named
 
@@ -138,16 +141,92 @@ def test_a_failed_diagnosis_is_neither_right_nor_a_claim():
         assert not one.named and not one.verdict and not one.false_claim and one.diagnosed == "failed (1)"
 
 
+def line(kind, answer, diagnosis):
+    return {"kind": kind, "answer": answer, "diagnosis": diagnosis, "seconds": 10.0, "peak_mb": 300.0}
+
+
 def test_summary_and_markdown():
-    scores = [score(ANSWER, claim(DRAG)), score(CONTROL, claim(DRAG)), score(CONTROL, {"verdict": "no_mismatch"})]
-    counts = summary(scores)
-    assert (counts["cases"], counts["named_right"], counts["controls"], counts["false_alarms"]) == (1, 1, 2, 1)
-    assert (counts["intervals"], counts["intervals_cover"], counts["intervals_narrow"]) == (1, 1, 1)
-    rows = [(kind, s, 10.0, 300.0) for kind, s in zip(("effect", "control", "control"), scores, strict=True)]
+    drag, psi = DRAG | {"probability": 1.0}, {"mass": {"after": {"mean": 2.1, "sd": 0.1}}}
+    said = [claim(drag, psi=psi), claim(drag), {"verdict": "no_mismatch"}]
+    pairs = zip(("effect", "control", "control"), (ANSWER, CONTROL, CONTROL), said, strict=True)
+    rows = [row(line(*one)) for one in pairs]
+    told = summarize(rows)
+    effect, control, whole = told.kinds
+    assert (effect.right, effect.cover, effect.narrow, control.false_claims, whole.right) == (1, 1, 1, 1, 2)
+    assert {c.name: (c.inside, c.count) for c in told.coverage}["both"] == (2, 2)
     text = markdown(rows).splitlines()
     assert text[2].startswith("| effect | 1 | 1 | 1 | 0 | 1 of 1 | 1 of 1 | 2.0 % | 24.0 % |")
     assert text[3].startswith("| control | 2 | 1 | 1 | 1 | 0 of 0 |")
     assert text[-1] == "- control: nothing was said to be quadratic_drag @ carriage (false alarm)"
+
+
+def test_every_parameter_is_pooled_and_the_size_alone_decides():
+    truth = entry("cogging_torque", "joint", "x", amplitude=0.3, cycles=5.0, phase=3.0)
+    given = {"amplitude": estimate(0.31, 0.28, 0.34), "cycles": estimate(5.2, 5.1, 5.3)}
+    given["phase"] = estimate(3.0 + 2 * math.pi, 2.9 + 2 * math.pi, 3.1 + 2 * math.pi)
+    told = score({**ANSWER, "effects": [truth]}, claim(entry("cogging_torque", "joint", "x", **given)))
+    assert told.effects[0].estimates.covers and told.effects[0].estimates.inside == (True, False, True)
+
+
+def test_pooled_coverage_is_tested_exactly():
+    psi = {f"p{i}": 0.0 for i in range(100)}
+    for inside, p_value in ((95, 1.0), (85, stats.binomtest(85, 100, 0.95).pvalue)):
+        after = {name: {"after": {"mean": 0.0 if i < inside else 3.0, "sd": 1.0}} for i, name in enumerate(psi)}
+        told = pooled([row(line("control", {**CONTROL, "psi": psi}, {"verdict": "no_mismatch", "psi": after}))])
+        assert [(c.inside, c.count) for c in told] == [(0, 0), (inside, 100), (inside, 100), (0, 0)]
+        assert told[2].p_value == pytest.approx(p_value)
+
+
+def test_improvement_is_a_share_of_what_the_true_law_gives():
+    fit = {"rollout_rmse_before": {"a": 10.0, "b": 0.5}, "rollout_rmse_after": {"a": 2.0, "b": 0.5}}
+    answer = {**ANSWER, "truth_rmse": {"a": 1.0, "b": 0.5}}
+    before, after = math.sqrt(101 / 2), math.sqrt(5 / 2)
+    assert heldout_errors(answer, fit) == pytest.approx((before, after))
+    assert score(answer, claim(DRAG, fit=fit)).improvement == pytest.approx((before - after) / (before - 1))
+    old = fit | {"rollout_rmse_noise": {"a": 1.0, "b": 0.5}}
+    assert score(ANSWER, claim(DRAG, fit=old)).improvement == pytest.approx((before - after) / (before - 1))
+    assert improvement(answer, fit | {"rollout_rmse_after": {"a": None, "b": 0.5}}) == 0.0
+    assert improvement(answer, fit | {"rollout_rmse_before": {"a": 1.0, "b": 0.5}}) is None
+
+
+def test_probabilities_are_of_what_excludes_one_another():
+    other = {"name": "armature", "element": {"kind": "joint", "name": "rail"}, "probability": 0.1}
+    right, wrong = DRAG | {"probability": 0.8, "alternatives": [other]}, PUSHED | {"probability": 0.9}
+    assert groups(ANSWER, claim(right)) == [Group((0.8, 0.1), 0)]
+    assert groups(TWO, claim(right, PUSHED | {"probability": 0.9})) == [Group((0.8, 0.1), 0), Group((0.9,), 0)]
+    assert groups(ANSWER, claim(right, wrong)) == [Group((0.8, 0.1), 0), Group((0.9,), None)]
+    # The alternative is right: the claim beside it that was paired with the other effect does not count for this one.
+    assert groups(ANSWER, claim(wrong | {"alternatives": [DRAG | {"probability": 0.1}]})) == [Group((0.1, 0.9), 0)]
+    none = {"name": "none", "element": None, "probability": 0.3}
+    unsure = {"verdict": "inconclusive", "candidates": [DRAG | {"probability": 0.7}, none]}
+    assert groups(ANSWER, unsure) == [Group((0.7, 0.3), 0)] and groups(CONTROL, unsure) == [Group((0.3, 0.7), 0)]
+    assert groups(CONTROL, {"verdict": "no_mismatch"}) == []
+
+
+def found_as_stated(random, count):
+    """Findings of two explanations each, as often right as they say."""
+    for p in random.uniform(0.4, 1.0, count).tolist():
+        stated = (p, 0.6 * (1 - p))
+        true = random.choice(3, p=[*stated, 1 - sum(stated)])
+        yield Group(stated, None if true == 2 else int(true))
+
+
+def test_probabilities_that_hold_what_they_say_have_even_p_values():
+    random = np.random.default_rng(1)
+    told = [reliability(list(found_as_stated(random, 60))) for _ in range(30)]
+    assert stats.kstest([r.p_value for r in told if r], "uniform").pvalue > 0.01
+    scores = [r.log_score - r.expected for r in told if r]
+    assert abs(np.mean(scores)) < 4 * np.std(scores) / np.sqrt(30)
+    assert all(r.num_statements == 120 and sum(b.count for b in r.bins) == 120 for r in told if r)
+
+
+def test_probabilities_that_are_too_bold_or_too_timid_are_rejected():
+    found = list(found_as_stated(np.random.default_rng(2), 300))
+    bold = reliability([Group((min(1.0, 0.3 + g.stated[0]),), g.true if g.true == 0 else None) for g in found])
+    timid = reliability([Group((0.5,), g.true if g.true == 0 else None) for g in found])
+    assert bold is not None and bold.p_value < 0.001 and math.isfinite(bold.log_score)
+    assert timid is not None and timid.p_value < 0.001
+    assert reliability([]) is None
 
 
 def test_demo_reports_a_failed_diagnosis(tmp_path, monkeypatch, capsys):
