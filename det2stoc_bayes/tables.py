@@ -256,7 +256,7 @@ def _forms(
     catalogue: Mapping[str, "det2stoc_bayes.mismatch.effects.base.Effect"],
 ) -> "list[det2stoc_bayes.mismatch.effects.base.Effect]":
     """Forms that differ in what is shown: those of a contact on geoms and on a listed pair are one."""
-    forms: "dict[tuple[str, str, str], det2stoc_bayes.mismatch.effects.base.Effect]" = {}
+    forms: dict[tuple[str, str, str], det2stoc_bayes.mismatch.effects.base.Effect] = {}
     for e in (form for effect in catalogue.values() for form in effect.forms()):
         forms.setdefault((e.name, e.kind, e.law_text), e)
     return list(forms.values())
