@@ -16,7 +16,7 @@ from conftest import HINGE, make_study, model_xml
 from rich.console import Console
 from typer.testing import CliRunner
 
-from det2stoc_bayes import cli, identifiability, progress
+from det2stoc_bayes import cli, identifiability, progress, verbs
 from det2stoc_bayes.errors import StudyError
 from det2stoc_bayes.identifiability import check
 
@@ -149,9 +149,9 @@ def test_fit_writes_a_file_and_a_summary(study, tmp_path):
         (("check", "nowhere"), "error: nowhere: no such folder"),
         (("diagnose", "nowhere", "--out", "out"), "error: nowhere: no such folder"),
         (("fit", "nowhere", "--out", "out"), "error: nowhere: no such folder"),
-        (("fit", "nowhere", "--method", "nuts2", "--out", "out"), "error: method: unknown method 'nuts2'"),
+        (("fit", "nowhere", "--method", "nuts2", "--out", "out"), "error: --method: unknown method 'nuts2'"),
         (("fit", "nowhere", "--engine", "bullet", "--out", "out"), "'bullet' is not one of 'c', 'mjx'"),
-        (("fit", "nowhere", "--num-samples", "0", "--out", "out"), "--num-samples"),
+        (("fit", "nowhere", "--num-samples", "3", "--out", "out"), "3 is not in the range 4<=x"),
         (("fit", "nowhere"), "Missing option '--out'"),
         (("check", "nowhere", "--seed", "-1"), "--seed"),
         (("effects", "--loud"), "No such option"),
@@ -160,6 +160,11 @@ def test_fit_writes_a_file_and_a_summary(study, tmp_path):
         (("calibrate", "linear_gausian", "--method", "nuts", "--out", "out"), "did you mean 'linear_gaussian'?"),
         (("calibrate", "linear_gaussian", "--method", "nutz", "--out", "out"), "did you mean 'nuts'?"),
         (("calibrate", "linear_gaussian", "--method", "baseline_cvae", "--out", "out"), "infers no posterior"),
+        (
+            ("calibrate", "linear_gaussian", "--method", "nuts+psis", "--out", "out"),
+            "--method: found 'nuts+psis'",
+        ),
+        (("compare", "two_moons", "--methods", "npe", "--out", "out"), "which has no recordings: `make compare-sbi`"),
         (("calibrate", "linear_gaussian", "--method", "nuts", "--num-replications", "5", "--out", "out"), "--num-repl"),
     ],
 )
@@ -179,6 +184,26 @@ def test_a_file_in_place_of_a_folder_is_an_error_before_the_work(study, tmp_path
     assert shown.exit_code == 2
     assert shown.stderr.startswith(f"error: --out {tmp_path}/out/deep: {tmp_path}/out is a file; allowed:")
     assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("command", "file"),
+    [
+        (("fit", "--method", "laplace"), "fit.nc"),
+        (("compare", "--methods", "laplace"), "report.html"),
+        (("compare", "--methods", "laplace"), "runs/laplace.nc"),
+        (("calibrate", "--method", "laplace"), "replications.jsonl"),
+        (("diagnose",), "diagnosis.json"),
+    ],
+)
+def test_a_folder_in_place_of_a_file_is_an_error_before_the_work(study, tmp_path, monkeypatch, command, file):
+    for work in ("fit", "_drawn", "_posed", "diagnose"):
+        monkeypatch.setattr(verbs, work, lambda *_, **__: pytest.fail("it was begun"))
+    (tmp_path / "out" / file).mkdir(parents=True)
+    shown = run(command[0], study, *command[1:], "--out", tmp_path / "out")
+    assert shown.exit_code == 2
+    assert shown.stderr.splitlines()[-1].startswith(f"error: {tmp_path}/out/{file}: found a folder")
+    assert [p for p in (tmp_path / "out").rglob("*") if p.is_file()] == []
 
 
 def test_warnings_of_the_study_are_shown_once_and_of_libraries_never(study, monkeypatch):
