@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from threading import Event
@@ -110,6 +111,12 @@ def test_check_as_json(study):
     assert 0.5 < answer["noise_inflation"] < 2.0
     assert "viscous_damping on joint hinge" in answer["absorbed_by_psi"]
     assert all(len(group) > 1 for group in answer["open_equivalences"])
+
+
+def test_check_warns_of_a_fit_that_stalled(study, monkeypatch):
+    climb = identifiability.climb
+    monkeypatch.setattr(identifiability, "climb", lambda problem: replace(climb(problem), end="stalled"))
+    assert "warning: psi: the quick fit stalled where" in run("check", study).stderr
 
 
 def test_check_without_psi_says_so(tmp_path):
