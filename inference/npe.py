@@ -9,6 +9,7 @@ how far these are from them.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import jax
@@ -85,28 +86,26 @@ class Trained:
 
     def features(self, problem: Problem) -> Float[np.ndarray, " features"]:
         """The components of a problem's recordings; MethodNotApplicable where they are not of the same kind."""
-        self._compare(problem.segments.recordings)
+        self._same_plan(problem.segments.recordings)
         error = problem.residuals(self.values).reshape(problem.segments.count, -1) * self.latent.weight
         apart = tangent(problem, self.start) - self.offset
         change = self.latent.project(self.latent.stack_whitened(error[..., None], apart[..., None]))
         return (change.ravel() - self.middle) @ self.basis
 
-    def _compare(self, recordings: tuple[Recording, ...]) -> None:
+    def _same_plan(self, recordings: tuple[Recording, ...]) -> None:
         """Names, columns, clocks, commands and what is missing have to be those that were imitated."""
-        seen = {r.name: r for r in self.recordings}
-        for r in recordings:
-            known = seen.get(r.name)
-            if known is None or len(seen) != len(recordings) or not _alike(known, r):
+        for known, given in zip_longest(self.recordings, recordings):
+            if known is None or given is None or not _alike(known, given):
                 raise MethodNotApplicable(
-                    f"npe: recording {r.name} differs in more than its values from what was learned from; allowed: "
-                    "the same recordings, columns, times, commands and missing samples, or a new training"
+                    f"npe: recording {(given or known).name} differs in more than its values from what was learned "
+                    "from; allowed: the same recordings, columns, times, commands and missing samples, or a new training"
                 )
 
 
 def _alike(a: Recording, b: Recording) -> bool:
     """Whether they have the same besides their values."""
     pairs = (a.time, b.time), (a.ctrl, b.ctrl), (np.isfinite(a.values), np.isfinite(b.values))
-    return a.columns == b.columns and all(np.array_equal(x, y) for x, y in pairs)
+    return (a.name, a.columns) == (b.name, b.columns) and all(np.array_equal(x, y) for x, y in pairs)
 
 
 def train(
