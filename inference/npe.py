@@ -96,9 +96,10 @@ class Trained:
         """Names, columns, clocks, commands and what is missing have to be those that were imitated."""
         for known, given in zip_longest(self.recordings, recordings):
             if known is None or given is None or not _alike(known, given):
+                name = next((r.name for r in (given, known) if r is not None), "")
                 raise MethodNotApplicable(
-                    f"npe: recording {(given or known).name} differs in more than its values from what was learned "
-                    "from; allowed: the same recordings, columns, times, commands and missing samples, or a new training"
+                    f"npe: recording {name} differs in more than its values from what was learned from; allowed: the "
+                    "same recordings, columns, times, commands and missing samples"
                 )
 
 
