@@ -16,12 +16,12 @@ from typing import Any
 import jax
 import numpy as np
 from logs import append, logged
+from two_samples_jax import c2st
 
 from det2stoc_bayes.blind.proof import revision
 from det2stoc_bayes.inference._flow import ConditionalFlow, train
-from det2stoc_bayes.psis import effective_draws, resampled, smooth
-from det2stoc_bayes.two_samples_jax import c2st
-from det2stoc_bayes.vector_problem import VectorProblem
+from det2stoc_bayes.models._vector_problem import VectorProblem
+from det2stoc_bayes.psis import effective_draws, reliable, resampled, smooth
 
 LOG = Path(__file__).parent / "results" / "compare_sbi.jsonl"
 PROBLEMS = ("two_moons", "slcp", "gaussian_linear")
@@ -88,21 +88,23 @@ def line(name: str, budget: int, seed: int) -> dict[str, Any]:
 
 
 def summary(lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """A row a problem and number of simulations: mean C2ST and its standard error over observations and seeds."""
-    yield "| problem | simulations | npe | npe + PSIS | published | seeds | s a fit |"
-    yield "|---|---|---|---|---|---|---|"
+    """A row a problem and number of simulations: mean C2ST and its standard error over observations."""
+    yield "| problem | simulations | npe | npe + PSIS | k-hat too high | published | seeds | s a fit |"
+    yield "|---|---|---|---|---|---|---|---|"
     for name, (k, budget) in itertools.product(PROBLEMS, enumerate(BUDGETS)):
         own = [one for one in lines if one["problem"] == name and one["simulations"] == budget]
         if own:
             cells = [_mean([one[way] for one in own]) for way in ("npe", "npe+psis")]
+            k_hat = np.mean([one["k_hat"] for one in own], 0)
+            cells += [f"{(k_hat > reliable(NUM_PROPOSED)).sum()} of {len(k_hat)}"]
             seconds = np.mean([one["seconds"] for one in own])
             published = f"{PUBLISHED[name][k]:.3f}"
             yield f"| {name} | {budget} | {' | '.join(cells)} | {published} | {len(own)} | {seconds:.0f} |"
 
 
 def _mean(scores: Sequence[Sequence[float]]) -> str:
-    """Mean and its standard error. Observations and seeds count alike."""
-    values = np.ravel(scores)
+    """Mean and its standard error over observations; seeds of one observation are no further evidence."""
+    values = np.mean(scores, 0)
     return f"{values.mean():.3f} ± {values.std(ddof=1) / np.sqrt(values.size):.3f}"
 
 

@@ -131,7 +131,7 @@ def _read(lines: Iterable[Mapping[str, Any]], mark: str) -> list[Replication]:
         if line.get("made") != mark:
             continue
         with suppress(ValidationError):  # a line that something else wrote is done again
-            one = known.validate_python({n: line[n] for n in names if n in line}, strict=True)
+            one = known.validate_json(json.dumps({n: line[n] for n in names if n in line}), strict=True)
             whole += [one] if all(len(row) == len(one.truth) for row in one.draws) else []
     return whole
 

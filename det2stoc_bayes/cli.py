@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from det2stoc_bayes.errors import Det2StocError, listing
 from det2stoc_bayes.files import check_folder
+from det2stoc_bayes.models import PROBLEMS, VECTORS, no_study
 from det2stoc_bayes.streams import reporting, show, show_report
 
 if TYPE_CHECKING:
     import det2stoc_bayes.study  # a dotted name, so that the checker of the tests can look it up
 
-MOST_DRAWS, MOST_SEED = 10_000_000, 2**63 - 1
+LEAST_DRAWS, MOST_DRAWS, MOST_SEED = 4, 10_000_000, 2**63 - 1
+EQUAL = "as many more as make chains equally long"
 
 app = typer.Typer(
     name="det2stoc",
@@ -31,11 +34,13 @@ app = typer.Typer(
 )
 
 StudyFolder = Annotated[Path, typer.Argument(metavar="STUDY", help="The study's folder.", show_default=False)]
+KINDS = ("a study's folder", *PROBLEMS)
 StudyOrProblem = Annotated[
-    str, typer.Argument(metavar="STUDY|PROBLEM", help="A study's folder, or a problem's name.", show_default=False)
+    str, typer.Argument(metavar="STUDY|PROBLEM", help=f"One of: {listing(KINDS)}.", show_default=False)
 ]
 Seed = Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Everything random follows from it.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
+Jobs = Annotated[int, typer.Option(min=0, help="Processes, of one simulation thread each; 0: one a core.")]
 Cluster = Annotated[str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler, as tcp://HOST:8786.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an unforeseen error.")]
 
@@ -65,7 +70,7 @@ def fit(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where fit.nc goes.", show_default=False)],
     method: Annotated[str, typer.Option(metavar="NAME", help="An inference method.")] = "nuts",
     engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
-    num_samples: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="Draws in all.")] = 1000,
+    num_samples: Annotated[int, typer.Option(min=LEAST_DRAWS, max=MOST_DRAWS, help=f"Draws in all; {EQUAL}.")] = 1000,
     refine: Annotated[Literal["none", "psis"], typer.Option(help="Resample by the exact likelihood.")] = "none",
     seed: Seed = 0,
     as_json: Json = False,
@@ -73,14 +78,14 @@ def fit(
 ) -> None:
     """Draw from the posterior of a study's psi."""
     with reporting(debug) as stages:
-        check_folder(out)
+        check_folder(out, "fit.nc")
         from det2stoc_bayes import posterior, tables, verbs
         from det2stoc_bayes.doubts import doubts
         from det2stoc_bayes.inference import get_method
         from det2stoc_bayes.recording import StudyWarning
         from det2stoc_bayes.report.summary import predicted, summarize
 
-        get_method(method)  # a name that does not exist is not worth reading a study for
+        get_method(method, "--method")  # a name that does not exist is not worth reading a study for
         believed = _load(study)
         options = {"seed": seed, "engine": engine, "num_samples": num_samples, "progress": stages}
         options |= {"refine": refine} if refine != "none" else {}
@@ -103,9 +108,11 @@ def compare(
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where runs and report go.", show_default=False)],
     engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
-    num_samples: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="Draws in all, of each method.")] = 1000,
+    num_samples: Annotated[
+        int, typer.Option(min=LEAST_DRAWS, max=MOST_DRAWS, help=f"Draws in all, of each method; {EQUAL}.")
+    ] = 1000,
     num_seeds: Annotated[int, typer.Option(min=1, max=1000, help="Runs of each method, from --seed on.")] = 1,
-    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 1,
+    jobs: Jobs = 0,
     cluster: Cluster = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -113,9 +120,9 @@ def compare(
 ) -> None:
     """Hold methods beside each other; the same command goes on where it was interrupted."""
     with reporting(debug) as stages:
+        check_folder(out, "report.html", "comparison.json")
         check_folder(out / "runs")
         from det2stoc_bayes import tables, verbs
-        from det2stoc_bayes.errors import Det2StocError
         from det2stoc_bayes.files import atomic_write
         from det2stoc_bayes.mismatch.finding import plain
         from det2stoc_bayes.report.compare_page import compare_page, misfits
@@ -147,9 +154,11 @@ def calibrate(
     num_replications: Annotated[
         int, typer.Option(min=20, max=MOST_DRAWS, help="Simulated and fitted data sets.")
     ] = 500,
-    num_samples: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="Draws of a fit, at first.")] = 200,
+    num_samples: Annotated[
+        int, typer.Option(min=LEAST_DRAWS, max=MOST_DRAWS, help=f"Draws of a fit, at first; {EQUAL}.")
+    ] = 200,
     engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
-    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 0,
+    jobs: Jobs = 0,
     cluster: Cluster = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -157,7 +166,7 @@ def calibrate(
 ) -> None:
     """Test whether a method's posteriors hold the truth as often as they say; goes on where it was interrupted."""
     with reporting(debug) as stages:
-        check_folder(out)
+        check_folder(out, "replications.jsonl", "report.html", "calibration.json")
         from det2stoc_bayes import calibration, tables, verbs
         from det2stoc_bayes.files import atomic_write
         from det2stoc_bayes.mismatch.finding import plain
@@ -183,7 +192,7 @@ def diagnose(
 ) -> None:
     """Find and model what the simulator leaves out."""
     with reporting(debug) as stages:
-        check_folder(out)
+        check_folder(out, "patched.xml", "effects.py", "fit.nc", "report.html", "diagnosis.json")
         from det2stoc_bayes import tables, verbs
 
         diagnosis = verbs.diagnose(_load(study), seed=seed, exact=exact, progress=stages)
@@ -210,7 +219,7 @@ def reproduce(
         from det2stoc_bayes.reproduce import get_experiment
 
         module = get_experiment(experiment)
-        check_folder(out)
+        check_folder(out, "results.json", "report.html")
         result = module.run(out, seed=seed, quick=quick, progress=stages)
         atomic_write(out / "results.json", json.dumps(result))
         atomic_write(out / "report.html", module.page(result))
@@ -230,7 +239,7 @@ def export(
 ) -> None:
     """Write a posterior as a domain-randomization set: psi.csv, and an MJCF a draw."""
     with reporting(debug) as stages:
-        check_folder(out)
+        check_folder(out, "psi.csv")
         from det2stoc_bayes import posterior, randomization
 
         def told(done: int, total: int) -> None:
@@ -254,18 +263,16 @@ def effects(seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None
 
 def _study_or_problem(given: str) -> "det2stoc_bayes.study.Study | str":
     """A study that is read, or the name of a problem; a folder goes before a problem of its name."""
-    from det2stoc_bayes.errors import Det2StocError
-    from det2stoc_bayes.models import problems
     from det2stoc_bayes.suggestions import choices
 
     if not given:
-        raise Det2StocError(f"the study: found nothing; {choices(given, ["a study's folder", *problems()], 20)}")
+        raise Det2StocError(f"the study: found nothing; {choices(given, KINDS)}")
     if Path(given).exists() or len(Path(given).parts) > 1:
         return _load(Path(given))
-    if given not in problems():
-        raise Det2StocError(
-            f"{given}: no such folder or problem; {choices(given, ["a study's folder", *problems()], 20)}"
-        )
+    if given in VECTORS:
+        raise no_study(given)
+    if given not in PROBLEMS:
+        raise Det2StocError(f"{given}: no such folder or problem; {choices(given, KINDS)}")
     return given
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 
 SECONDS = 5  # in which a scheduler answers
+PATIENCE = 60  # s, in which a first worker comes
 ADDRESS = re.compile(r"(tcp|tls)://(\[[^\]/\s]+\]|[^\s:/\[\]]+):\d{1,5}")
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 GOES_ON = "what is finished is kept, and the same command goes on"
@@ -51,21 +52,31 @@ class Here(Executor):
 
 
 @contextmanager
-def workers(jobs: int = 1, cluster: str | None = None, progress: Progress = lambda *_: None) -> Iterator[Executor]:
+def workers(
+    jobs: int = 0, cluster: str | None = None, progress: Progress = lambda *_: None, most: int | None = None
+) -> Iterator[Executor]:
     """An executor: this process (1 job), a pool of so many, or a cluster's workers.
 
-    `jobs` 0: as many as there are cores. Det2StocError: the cluster does not answer, or has not what is needed.
+    `jobs` 0: as many as there are cores. `most`: tasks, of which no process is to have none. Det2StocError: the
+    cluster does not answer, or has not what is needed.
     """
     if cluster is not None:
         with _client(cluster) as client:
             progress(f"waiting for workers of {cluster}", 0, 1)
-            client.wait_for_workers(1)
+            try:
+                client.wait_for_workers(1, timeout=PATIENCE)
+            except TimeoutError as error:
+                raise Det2StocError(
+                    f"--cluster {cluster}: found no worker within {PATIENCE} s; allowed: one at least, as started by "
+                    f"`dask worker {cluster}`"
+                ) from error
             _check_versions(client)
             progress(f"waiting for workers of {cluster}", 1, 1)
             yield client.get_executor()
         return
     jobs = jobs or os.cpu_count() or 1
-    if jobs == 1:
+    jobs = jobs if most is None else min(jobs, most)
+    if jobs <= 1:
         yield Here()
         return
     others = set(active_children())

@@ -4,7 +4,7 @@ import json
 import os
 import secrets
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -32,12 +32,13 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def check_folder(out: Path) -> None:
-    """A folder for results that cannot be one is a Det2StocError before the work, not after it."""
+def check_folder(out: Path, *files: str) -> None:
+    """A folder for results that cannot be one, or cannot take these files: a Det2StocError before the work."""
     new = [path for path in (out, *out.parents) if not path.exists()]
     there = (out, *out.parents)[len(new)]  # the root exists, and the working folder
     if not there.is_dir():
         raise Det2StocError(f"--out {out}: {there} is a file; allowed: a folder, or a new name")
+    check_files(out / name for name in files)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):
@@ -48,6 +49,13 @@ def check_folder(out: Path) -> None:
         with suppress(OSError):
             for path in new:
                 path.rmdir()
+
+
+def check_files(paths: Iterable[Path]) -> None:
+    """Places for files that folders have are a Det2StocError before the work."""
+    for path in paths:
+        if path.is_dir():
+            raise Det2StocError(f"{path}: found a folder in the place of a file; allowed: another --out, or to move it")
 
 
 def unwritable(path: Path, error: OSError) -> Det2StocError:

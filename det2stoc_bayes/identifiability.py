@@ -105,7 +105,10 @@ def _open(fit: Fit, progress: Progress) -> tuple[tuple[tuple[str, ...], ...], tu
 
 
 def _warn(fit: Fit) -> None:
-    """Recordings that the fitted model is far from, over stretches as long as it can be asked to predict."""
+    """A fit that stalled; recordings that it is far from, over stretches as long as it can be asked to predict."""
+    if fit.end == "stalled":
+        told = "the quick fit stalled where its steps promise more than they give, as about rest or a contact"
+        warnings.warn(f"psi: {told}: means and sds are rough", StudyWarning, stacklevel=3)
     segments, noise = fit.problem.segments, fit.problem.noise
     errors, spread = whitened(fit) * noise, np.nanstd(segments.values, axis=(0, 1))
     for r, recording in enumerate(segments.recordings):

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +21,9 @@ CONTRACTION = 0.3  # of the last step's gain: a step that promises more needs ne
 NUM_RESPREADS = 8  # rounds in which the spreads of psi by recording settle
 LARGEST_STEP = 10.0  # prior sds of an effect in one iteration
 
+# A search that stalled promised more than it gave, as about a kink; an unfinished one would have gone on.
+End = Literal["converged", "stalled", "unfinished"]
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -30,7 +34,7 @@ class Fit:
     noise_scale: float  # variance ratio s2 >= 1 under which the covariance holds
     chi2: float  # whitened squared residual, initial states integrated out
     log_likelihood: float  # at s2 = 1
-    converged: bool
+    end: End
 
     @property
     def problem(self) -> Problem:
@@ -83,7 +87,7 @@ def sketch(base: Fit, points: Sequence[tuple[Problem, Point]], *, tolerance: flo
     first, over = _descended(linear, tolerance, True)
     on = _again({i: lin for i, lin in first.items() if not over[i]})
     linear = first | _descended(on, tolerance, True)[0]
-    return [summarize(linear[i], True, False) if i in linear else None for i in range(len(points))]
+    return [summarize(linear[i], True, "unfinished") if i in linear else None for i in range(len(points))]
 
 
 def _fit_held(
@@ -91,16 +95,18 @@ def _fit_held(
 ) -> list[Fit | None]:
     """Gauss-Newton with the spreads held."""
     linear = {i: lin for i, lin in enumerate(linearize(points)) if lin is not None}
-    done = dict.fromkeys(linear, False)
+    ends: dict[int, End] = dict.fromkeys(linear, "unfinished")
     for _ in range(max_iterations):
-        todo = {i: linear[i] for i, over in done.items() if not over}
+        todo = {i: linear[i] for i, end in ends.items() if end == "unfinished"}
         if not todo:
             break
         moved, over = _descended(todo, tolerance, free_scale)
         linear |= moved | _again({i: lin for i, lin in moved.items() if not over[i]})
         # What keeps promising more than it gives, as friction does about rest, will not give more.
-        done |= over | {i: True for i, lin in todo.items() if _gained(lin, moved[i], free_scale) < tolerance}
-    return [summarize(linear[i], free_scale, done[i]) if i in linear else None for i in range(len(points))]
+        ended = [i for i, lin in todo.items() if over[i] or _gained(lin, moved[i], free_scale) < tolerance]
+        left = {i: _newton_step(linear[i], free_scale).gain for i in ended}
+        ends |= {i: "converged" if gain < tolerance else "stalled" for i, gain in left.items()}
+    return [summarize(linear[i], free_scale, ends[i]) if i in linear else None for i in range(len(points))]
 
 
 def _again(linear: dict[int, Linearization]) -> dict[int, Linearization]:
@@ -284,10 +290,10 @@ def _lowest(
     return Point(z, Start(*start)), predicted[which, segments], height
 
 
-def summarize(lin: Linearization, free_scale: bool, converged: bool) -> Fit:
+def summarize(lin: Linearization, free_scale: bool, end: End) -> Fit:
     """Chi2, likelihood and the covariance of z at a point."""
     gram, _, square = (x.sum(0) for x in lin.gram())
     chi2 = float(square)
     s2 = noise_scale(lin, chi2, free_scale)
     covariance = np.linalg.inv(gram / s2 + np.eye(lin.problem.size))
-    return Fit(lin, covariance, s2, chi2, lin.latent.log_normalizer - 0.5 * chi2, converged)
+    return Fit(lin, covariance, s2, chi2, lin.latent.log_normalizer - 0.5 * chi2, end)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from det2stoc_bayes.errors import MethodNotApplicable, SamplingFailed, SimulationDiverged, listing
+from det2stoc_bayes.files import check_files
 from det2stoc_bayes.problem import Problem, make_problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
@@ -32,10 +33,14 @@ def fit(
     seed: int = 0,
     engine: str = "c",
     num_samples: int = 1000,
+    num_threads: int = 0,
     progress: Callable[[str, int, int], None] = lambda *_: None,
     **options: Any,
 ) -> "xarray.DataTree":
-    """The posterior of psi by a method of `det2stoc_bayes.inference`; `options` are the method's own."""
+    """The posterior of psi by a method of `det2stoc_bayes.inference`; `options` are the method's own.
+
+    `num_samples` draws in all, or as many more as make chains equally long; `num_threads` simulate (0: one a core).
+    """
     from det2stoc_bayes.inference import get_method
 
     run = get_method(method).fit
@@ -45,7 +50,7 @@ def fit(
             raise MethodNotApplicable(f"{method}: has no option '{name}'; allowed: {listing(list(known)[2:])}")
     if "progress" in known:
         options["progress"] = lambda done, total: progress("sampling", done, total)
-    problem = make_problem(Simulator(study, engine))
+    problem = make_problem(Simulator(study, engine, num_threads))
     progress(stage := f"fitting by {method}", 0, 1)
     found = run(problem, seed, num_samples=num_samples, **options)
     progress(stage, 1, 1)
@@ -61,7 +66,7 @@ def compare(
     num_seeds: int = 1,
     engine: str = "c",
     num_samples: int = 1000,
-    jobs: int = 1,
+    jobs: int = 0,
     cluster: str | None = None,
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> "Comparison":
@@ -70,7 +75,7 @@ def compare(
     Those that `out` holds are not drawn again; a problem's recordings are written there, too.
 
     `out/runs` gets one .nc a method and seed (from `seed` on), each as soon as it is done, by `jobs` processes (1: this
-    one, 0: one a core) or the workers of the Dask scheduler `cluster`.
+    one, 0: one a core) or the workers of the Dask scheduler `cluster`, each of which simulates by one thread.
     """
     from det2stoc_bayes import posterior
     from det2stoc_bayes.compare import Run, compare
@@ -79,7 +84,7 @@ def compare(
 
     if not methods:
         raise MethodNotApplicable(f"--methods: none is named; allowed: some of {listing(METHODS)}, separated by commas")
-    chosen = [_method(label) for label in dict.fromkeys(methods)]
+    chosen = [_method(label, "--methods") for label in dict.fromkeys(methods)]
     study, reference = (problem, None) if isinstance(problem, Study) else _known(problem, Path(out), seed)
     made = {"content": Simulator(study).fingerprint, "version": version("det2stoc-bayes")}
     tasks: dict[str, tuple[str, dict[str, Any]]] = {}
@@ -88,12 +93,14 @@ def compare(
             how: dict[str, Any] = {"seed": s, "engine": engine, "num_samples": num_samples} | options
             tasks[label if s == seed else f"{label}, seed {s}"] = name, how
     paths = {run: Path(out) / "runs" / f"{run.replace(', seed ', '_seed_')}.nc" for run in tasks}
+    check_files(paths.values())
     trees = {run: posterior.load_made(paths[run], how | made) for run, (_, how) in tasks.items()}
     missing, failed = [run for run, tree in trees.items() if tree is None], {}
     there = len(tasks) - len(missing)
     progress("comparing methods", there, len(tasks))
-    with workers(jobs, cluster, progress) as executor:
-        draw = partial(_drawn, study, tasks, progress if isinstance(executor, Here) else _silent)
+    with workers(jobs, cluster, progress, most=len(missing)) as executor:
+        here = isinstance(executor, Here)
+        draw = partial(_drawn, study, tasks, 0 if here else 1, progress if here else _silent)
         for done, (run, result) in enumerate(finished(executor, draw, missing), there + 1):
             try:
                 tree = result()
@@ -125,11 +132,12 @@ def _known(name: str, out: Path, seed: int) -> "tuple[Study, Reference | None]":
 def _drawn(
     study: Study,
     tasks: Mapping[str, tuple[str, dict[str, Any]]],
+    num_threads: int,
     progress: Callable[[str, int, int], None],
     run: str,
 ) -> "xarray.DataTree":
     name, how = tasks[run]
-    return fit(study, name, progress=progress, **how)
+    return fit(study, name, num_threads=num_threads, progress=progress, **how)
 
 
 def _silent(stage: str, done: int, total: int) -> None:
@@ -159,14 +167,14 @@ def calibrate(
     from det2stoc_bayes.inference import NO_POSTERIOR, get_method
     from det2stoc_bayes.replication import fitted_start
 
-    label, name, options = _method(method)
+    label, name, options = _method(method, "--method")
     if name in NO_POSTERIOR:
         raise MethodNotApplicable(f"--method: {name} infers no posterior; allowed: a method that does, as nuts")
     posed = partial(_posed, problem, engine)
     believed, once = posed(), hasattr(get_method(name), "train")
     made = {"content": believed.simulator.fingerprint, "version": version("det2stoc-bayes"), "method": label}
     made |= {"seed": seed, "engine": engine, "num_samples": num_samples}
-    with workers(jobs, cluster, progress) as executor:
+    with workers(jobs, cluster, progress, most=num_replications) as executor:
 
         def prepare() -> Experiment:
             progress("fitting where the recordings begin", 0, 1)
@@ -228,18 +236,18 @@ def _kind(name: str) -> "Kind":
     return "exact" if name in EXACT else "no posterior" if name in NO_POSTERIOR else "approximate"
 
 
-def _method(label: str) -> tuple[str, str, dict[str, str]]:
-    """A label as it is, the method that it names, and that method's options."""
+def _method(label: str, option: str) -> tuple[str, str, dict[str, str]]:
+    """A label as it is, the method that it names, and that method's options; `option` is where it was given."""
     from det2stoc_bayes.inference import get_method
 
     name, plus, refine = (part.strip() for part in label.partition("+"))
     label = name + plus + refine
-    known = inspect.signature(get_method(name).fit).parameters
+    known = inspect.signature(get_method(name, option).fit).parameters
     if not plus:
         return label, name, {}
     if "refine" not in known or refine != "psis":
         allowed = [name, *([f"{name}+psis"] if "refine" in known else [])]
-        raise MethodNotApplicable(f"--methods: found '{label}'; allowed: {listing(allowed)}")
+        raise MethodNotApplicable(f"{option}: found '{label}'; allowed: {listing(allowed)}")
     return label, name, {"refine": refine}
 
 

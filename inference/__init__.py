@@ -19,8 +19,11 @@ EXACT = ("blackjax_nuts", "emcee", "nuts", "smc")  # whose draws are those of th
 NO_POSTERIOR = ("baseline_cvae", "population_search")  # the one predicts, the other seeks a population
 
 
-def get_method(name: str) -> ModuleType:
-    """A method's module, imported now; a Det2StocError lists the methods where none has this name."""
+def get_method(name: str, option: str = "method") -> ModuleType:
+    """A method's module, imported now; a Det2StocError lists the methods where none has this name.
+
+    `option` is what it was given as.
+    """
     if name not in METHODS:
-        raise Det2StocError(f"method: unknown method '{name}'; {choices(name, METHODS, limit=20)}")
+        raise Det2StocError(f"{option}: unknown method '{name}'; {choices(name, METHODS, limit=20)}")
     return import_module(f"{__name__}.{name}")

@@ -73,7 +73,7 @@ class Population:
 class Iteration:
     """One turn of the algorithm, all of it in psi's own units."""
 
-    cvae: Cvae
+    cvae: Cvae[Decoder | ExtendedDecoder]
     simulator: StochasticSimulator
     pretrained: Decoder  # on simulations alone
     believed: Population  # that psi was simulated from
@@ -160,7 +160,7 @@ def recognize(
     key: PRNGKeyArray,
     options: Options,
     progress: Progress,
-) -> tuple[Cvae, History]:
+) -> tuple[Cvae[Decoder | ExtendedDecoder], History]:
     """q(z | s, a, s') on recordings under the frozen decoder, and what else is learned from recordings."""
     x, y = scaling.standard(real)
     net, split, train, apart, push = jax.random.split(key, 5)

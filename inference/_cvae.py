@@ -6,7 +6,7 @@ of the state, all standardised.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 import jax
@@ -38,33 +38,38 @@ def standard_normal(size: int) -> dist.Distribution:
     return dist.Normal(jnp.zeros(size, jnp.float32), 1.0).to_event(1)
 
 
+def _learned(name: str, network: Any) -> Any:
+    """The network with weights of NumPyro's."""
+    return eqx_module(name, network)
+
+
 @dataclass(frozen=True)
-class Cvae:
+class Cvae[Generator: Callable[..., Any]]:
     """Networks and prior of a CVAE. `decoder_frozen`: the model holds it as it is and learns none of it."""
 
     encoder: Callable[..., Any]  # (x, y, key) -> mean and scale of z
-    decoder: Callable[..., Any]  # (x, z) -> mean and scale of y
+    decoder: Generator  # (x, z) -> mean and scale of y
     prior: dist.Distribution | LatentMixture  # a mixture is learned
     decoder_frozen: bool
 
-    def with_params(self, params: Mapping[str, Any]) -> "Cvae":
+    def with_params(self, params: Mapping[str, Any]) -> Self:
         """The same with trained networks."""
         names = [n for n in ("encoder", "decoder", "prior") if f"{n}$params" in params]
         return replace(self, **{n: eqx.combine(params[f"{n}$params"], getattr(self, n)) for n in names})
 
     def model(self, x: Batch, y: Batch | None = None, z: Batch | None = None) -> None:
         """The generative side; with z given, the regression that trains the decoder on simulations."""
-        decoder = self.decoder if self.decoder_frozen else eqx_module("decoder", self.decoder)
-        prior = eqx_module("prior", self.prior)() if isinstance(self.prior, LatentMixture) else self.prior
+        decoder = self.decoder if self.decoder_frozen else _learned("decoder", self.decoder)
+        prior = _learned("prior", self.prior)() if isinstance(self.prior, LatentMixture) else self.prior
         with numpyro.plate("transitions", x.shape[0]):
-            z = numpyro.sample("z", prior) if z is None else z
+            z = jnp.asarray(numpyro.sample("z", prior)) if z is None else z
             numpyro.sample("y", normal(*jax.vmap(decoder)(x, z)), obs=y)
 
     def guide(self, x: Batch, y: Batch, z: Batch | None = None) -> None:
         """The recognition side; nothing where z is given."""
         if z is not None:
             return
-        encoder, keys = eqx_module("encoder", self.encoder), numpyro.prng_key()
+        encoder, keys = _learned("encoder", self.encoder), numpyro.prng_key()
         keys = None if keys is None else jax.random.split(keys, x.shape[0])
         with numpyro.plate("transitions", x.shape[0]):
             mean, scale = jax.vmap(encoder, (0, 0, None if keys is None else 0))(x, y, keys)
@@ -85,7 +90,8 @@ class HybridELBO(Trace_ELBO):
             return result
         generated = trace(substitute(seed(model, other), data=param_map)).get_trace(*args, **kwargs)
         site = generated["y"]
-        result["loss"] = self.alpha * result["loss"] - (1 - self.alpha) * site["fn"].log_prob(site["value"]).sum()
+        loss = jnp.asarray(result["loss"])  # of several parts only where a module has more losses than one
+        result["loss"] = self.alpha * loss - (1 - self.alpha) * site["fn"].log_prob(site["value"]).sum()
         return result
 
 

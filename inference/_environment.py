@@ -41,16 +41,16 @@ class StochasticEnv(gymnasium.Env):
             found = f"{len(self.starts)} starts and {num_steps} steps"
             raise Det2StocError(f"starts, num_steps: found {found}; allowed: one at least of either, all finite")
         self.num_steps, self.reward = num_steps, reward
-        self.action_space = gymnasium.spaces.Box(low, high, dtype=float)
+        self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float64)
         size = (self.starts.shape[1],)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, size, dtype=float)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, size, dtype=np.float64)
         self._state, self._done, self._z = self.starts[0], 0, None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
         """A start and a latent, both drawn."""
         super().reset(seed=seed, options=options)
         self._state = self.starts[self.np_random.integers(len(self.starts))].copy()
-        self._z, self._done = self.simulator.prior.sample(self._key(), (1,)), 0
+        self._z, self._done = self.simulator.latents(self._key(), 1), 0
         return self._state.copy(), {}
 
     def step(self, action: Float[np.ndarray, " a"]) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:

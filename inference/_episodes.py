@@ -168,9 +168,10 @@ def log_marginal(mu: Array, spread: Array, score: Array, information: Array) -> 
 @cache  # compiled once for all iterations
 def _population_chains(size: int, num_draws: int, varies: tuple[bool, ...]) -> MCMC:
     def model(score: Array, information: Array) -> None:
-        mu = numpyro.sample("mu", dist.Normal(jnp.zeros(size), 3.0).to_event(1))
+        mu = jnp.asarray(numpyro.sample("mu", dist.Normal(jnp.zeros(size), 3.0).to_event(1)))
         sigma = numpyro.sample("sigma", dist.HalfNormal(jnp.ones(size)).to_event(1))
-        spread = numpyro.deterministic("spread", jnp.where(jnp.array(varies), sigma, 0.0))
+        spread = jnp.where(jnp.array(varies), sigma, 0.0)
+        numpyro.deterministic("spread", spread)
         numpyro.factor("episodes", log_marginal(mu, spread, score, information).sum())
 
     return MCMC(NUTS(model), num_warmup=500, num_samples=num_draws, progress_bar=False, jit_model_args=True)

@@ -8,7 +8,7 @@ of their batches; their mixture is the density.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import equinox as eqx
@@ -59,15 +59,19 @@ class Training:
 
 @dataclass(frozen=True, eq=False)
 class ConditionalFlow:
-    """A learned p(theta | x)."""
+    """A learned p(theta | x); pickled as its arrays alone, since flows hold local functions."""
 
     members: Any  # flows, their arrays stacked
-    size: int
+    training: Training
     center: Float[np.ndarray, " features"]
     scale: Float[np.ndarray, " features"]
     line: Float[np.ndarray, "features_and_one size"]  # of theta by standardised x and 1
     root: Float[np.ndarray, "size size"]  # lower triangular: theta = line + root @ what the flows tell
     history: Float[np.ndarray, "epochs members"]  # validation loss [nat]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        arrays = [np.asarray(a) for a in jax.tree.leaves(eqx.filter(self.members, eqx.is_array))]
+        return _restored, (arrays, self.training, self.center, self.scale, self.line, self.root, self.history)
 
     def log_density(
         self, theta: Float[np.ndarray, "rows size"], x: Float[np.ndarray, " features"]
@@ -90,7 +94,7 @@ class ConditionalFlow:
                 keys = jax.random.split(jax.random.fold_in(draw, k), num_members)
                 drawn = _sample(self.members, keys, jnp.asarray(given), min(ROWS, each))
                 found.append(np.asarray(drawn, float)[:, : each - begin])
-            left = np.concatenate(found, 1).reshape(-1, self.size)
+            left = np.concatenate(found, 1).reshape(-1, len(self.root))
             left = left[np.asarray(jax.random.permutation(mix, len(left)))[:count]]
         return _with_one(given) @ self.line + left @ self.root.T
 
@@ -122,12 +126,33 @@ def train(
         left = np.linalg.solve(root, (theta - _with_one(given) @ line).T).T.astype(np.float32)
         pairs = left, given
         seen, judged = ([jnp.asarray(a[rows]) for a in pairs] for rows in (order[held:], order[:held]))
-        make = eqx.filter_vmap(lambda k: _flow(k, theta.shape[1], x.shape[1], options))
-        members = make(jax.random.split(first, options.num_members))
+        members = _members(first, theta.shape[1], x.shape[1], options)
         carried = np.linalg.solve(root, (blur[:, None] * line[:-1]).T).T  # how noise moves what the line leaves
         spread = (jnp.asarray(blur, jnp.float32), jnp.asarray(carried, jnp.float32)) if noise else None
         members, history = _optimize(members, seen, judged, learn, options, spread, progress)
-    return ConditionalFlow(members, theta.shape[1], center, scale, line, root, history)
+    return ConditionalFlow(members, options, center, scale, line, root, history)
+
+
+def _members(key: jax.Array, size: int, features: int, options: Training) -> Any:
+    make = eqx.filter_vmap(lambda k: _flow(k, size, features, options))
+    return make(jax.random.split(key, options.num_members))
+
+
+@cache  # the same functions again: what was compiled for one flow serves others of its form
+def _form(size: int, features: int, options: Training) -> tuple[Any, Any]:
+    """How members' arrays are arranged, and all that is no array."""
+    with jax.enable_x64(False):  # made in earnest: the functions hold numbers
+        arrays, rest = eqx.partition(_members(jax.random.key(0), size, features, options), eqx.is_array)
+    return jax.tree.structure(arrays), rest
+
+
+def _restored(arrays: list[np.ndarray], options: Training, center: np.ndarray, *others: np.ndarray) -> ConditionalFlow:
+    """A flow that was pickled."""
+    root = others[2]
+    arranged, rest = _form(len(root), len(center), options)
+    with jax.enable_x64(False):
+        members = eqx.combine(jax.tree.unflatten(arranged, [jnp.asarray(a) for a in arrays]), rest)
+    return ConditionalFlow(members, options, center, *others)
 
 
 def _flow(key: jax.Array, size: int, features: int, options: Training) -> Any:

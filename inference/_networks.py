@@ -113,8 +113,8 @@ class ExtendedDecoder(eqx.Module):
 
 def decoder_of(sizes: Mapping[str, int]) -> Decoder | ExtendedDecoder:
     """A decoder of these sizes whose weights are to be filled in."""
-    own = {name: value for name, value in sizes.items() if name != "extra"}
-    base = Decoder(**own, key=jax.random.key(0))
+    own = {name: value for name, value in sizes.items() if name not in ("extra", "full")}
+    base = Decoder(**own, full=bool(sizes["full"]), key=jax.random.key(0))
     return ExtendedDecoder(base, sizes["extra"], jax.random.key(0)) if "extra" in sizes else base
 
 

@@ -84,7 +84,7 @@ def kept(simulator: StochasticSimulator, transitions: StudyTransitions) -> dict[
 def learned(fit: DataTree) -> StochasticSimulator:
     """The simulator that a method kept; a Det2StocError where it has none."""
     try:
-        return StochasticSimulator.from_bytes(fit["simulator"]["file"].values.astype(np.uint8).tobytes())
+        return StochasticSimulator.from_bytes(fit["simulator"].to_dataset()["file"].values.astype(np.uint8).tobytes())
     except (KeyError, ValueError) as error:
         method = fit.attrs.get("method", "no method")
         raise Det2StocError(

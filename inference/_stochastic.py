@@ -43,6 +43,10 @@ class StochasticSimulator:
         """The latent's."""
         return standard_normal(self.decoder.latents) if self.latent is None else self.latent()
 
+    def latents(self, key: PRNGKeyArray, count: int) -> Float[Array, "count z"]:
+        """Draws from the prior."""
+        return jnp.asarray(self.prior.sample(key, (count,)))
+
     @property
     def num_states(self) -> int:
         """Numbers of a state."""
@@ -68,7 +72,7 @@ class StochasticSimulator:
         action = rows_of("action", action, self.num_actions, len(state))
         latent, noise = jax.random.split(key)
         given = np.concatenate([state, action], 1)
-        z = self.prior.sample(latent, (len(state),)) if z is None else z
+        z = self.latents(latent, len(state)) if z is None else z
         mean, scale = _decode(self.decoder, jnp.asarray(self.scaling.inputs(given)), jnp.asarray(z, jnp.float32))
         drawn = np.asarray(normal(mean, scale).sample(noise), float)
         return self._valid(state + self.scaling.linear(given) + drawn * self.scaling.change_sd)
@@ -95,7 +99,7 @@ class StochasticSimulator:
             raise Det2StocError(f"actions: found shape {np.shape(actions)}; allowed: (rows, steps, {self.num_actions})")
         state = rows_of("state", state, self.num_states, len(actions))
         first, key = jax.random.split(key)
-        z = self.prior.sample(first, (len(state),)) if hold else None
+        z = self.latents(first, len(state)) if hold else None
         out = [np.asarray(state, float)]
         for k in range(actions.shape[1]):
             key, now = jax.random.split(key)
@@ -182,6 +186,6 @@ def _drawn(
     def one(key: PRNGKeyArray) -> tuple[Array, Array]:
         latent, noise = jax.random.split(key)
         p = normal(*jax.vmap(decoder)(x, prior.sample(latent, (len(x),))))
-        return p.sample(noise), p.log_prob(y)
+        return jnp.asarray(p.sample(noise)), jnp.asarray(p.log_prob(y))
 
     return jax.lax.map(one, keys)

@@ -73,7 +73,7 @@ class Surrogate:
         size = self.problem.size
 
         def model() -> None:
-            z = numpyro.sample("z", dist.Normal(jnp.zeros(size), 1.0).to_event(1))
+            z = jnp.asarray(numpyro.sample("z", dist.Normal(jnp.zeros(size), 1.0).to_event(1)))
             numpyro.factor("recordings", self.terms(z).sum())
 
         kernel = NUTS(

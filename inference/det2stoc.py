@@ -199,6 +199,6 @@ def _told(problem: Problem, turns: list[Iteration]) -> dict:
         "outside": [t.outside.mean(0) for t in turns],
     }
     names = np.array([p.name for p in problem.simulator.parameters])
-    told = {name: (("turn", "psi"), np.stack(values)) for name, values in columns.items()}
+    told: dict[str, Any] = {name: (("turn", "psi"), np.stack(values)) for name, values in columns.items()}
     told["alarm"] = ("turn",), np.array([t.alarm for t in turns])
     return told | {"psi": (("psi",), names), "turn": (("turn",), np.arange(1, len(turns) + 1))}

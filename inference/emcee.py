@@ -4,6 +4,8 @@ Moves: differential evolution, and independent draws of a wide Student-t at the 
 once where the posterior is near its Gaussian.
 """
 
+from typing import Any, cast
+
 import emcee
 import jax
 import numpy as np
@@ -55,7 +57,7 @@ def fit(
 
         moves = [(emcee.moves.DEMove(), 1 - SHARE), (emcee.moves.MHMove(_independent(mode)), SHARE)]
         sampler = emcee.EnsembleSampler(walkers, density.size, log_density, vectorize=True, moves=moves)
-        sampler.log_prob_fn = log_density  # emcee's wrapper prints a traceback at Ctrl-C
+        cast(Any, sampler).log_prob_fn = log_density  # emcee's wrapper prints a traceback at Ctrl-C
         sampler.random_state = np.random.RandomState(random.integers(2**32 - 1)).get_state()
         draws = per_chain(num_samples, walkers)
         time, converged = _run(

@@ -3,9 +3,13 @@
 What is simulated is what the declared likelihood speaks of: whitened recordings without what other initial states could
 explain, by how far they are from the real ones. Their principal components over the prior are the flow's input; since
 the components are orthonormal, measurement noise is standard normal in each of them and is drawn anew in every step
-of training, at no cost of simulations.
+of training, at no cost of simulations. What was learned once serves for others than the real recordings as well, by
+how far these are from them.
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import jax
@@ -13,13 +17,17 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.density import Density
+from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged
 from det2stoc_bayes.inference import _flow
-from det2stoc_bayes.inference._flow import FEWEST, Training
+from det2stoc_bayes.inference._flow import FEWEST, ConditionalFlow, Training
 from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
 from det2stoc_bayes.inference._sampling import NUM_CHAINS, as_key, density_of, numpy_random, per_chain, seed_of
-from det2stoc_bayes.posterior import DataTree, Progress, measured
+from det2stoc_bayes.likelihood import LatentStarts
+from det2stoc_bayes.linearization import tangent
+from det2stoc_bayes.posterior import Cost, DataTree, Progress, measured
 from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.recording import Recording
 
 MOST_ROWS = 1000  # simulations that the components are found from
 LEAST_SIGNAL = 0.01  # of the noise's variance: what a component tells less than this is nothing
@@ -44,46 +52,162 @@ def fit(
     Recordings are read by at most `num_features` principal components; `num_members` flows learn until the loss has
     not improved for `patience` epochs. `refine`: "psis" resamples by the exact likelihood.
     """
-    options: dict[str, Any] = {
-        "num_samples": num_samples,
+    learning = {
         "num_simulations": num_simulations,
         "num_features": num_features,
         "num_members": num_members,
         "width": width,
         "patience": patience,
         "num_epochs": num_epochs,
-        "refine": refine,
     }
+    options = {"num_samples": num_samples} | learning | {"refine": refine}
     each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
     _refuse(problem, num_simulations)
-    key = as_key(key)
+    learn, draw = jax.random.split(key := as_key(key))
     with measured(problem) as cost:
         density, random = density_of(problem), numpy_random(key)
-        learn, draw = jax.random.split(key)
-        z = random.standard_normal((num_simulations, density.size))
-        z, signal, here = _simulated(density, z, num_features)
-        training = Training(num_members=num_members, width=width, patience=patience, num_epochs=num_epochs)
-        report = {} if progress is None else {"progress": progress}
-        flow = _flow.train(z, signal, learn, training, noise=1.0, **report)
-        drawn = flow.sample(draw, here, NUM_CHAINS * each)
-        return build_weighed(
-            density,
-            Weighed.of(density, drawn, flow.log_density(drawn, here)),
-            NUM_CHAINS,
-            refine,
-            random,
-            sample_stats={"loss": (("epoch",), flow.history.mean(1))},
-            method="npe",
-            options=options,
-            seed=seed_of(key),
-            cost=cost,
-        )
+        trained = _learned(density, random, learn, progress, **learning)
+        return _tree(trained, density, draw, random, each, refine, options, seed_of(key), cost)
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """What was learned from simulations of a problem's recordings, and how others like these are read by it."""
+
+    flow: ConditionalFlow
+    recordings: tuple[Recording, ...]  # that were imitated
+    values: Float[np.ndarray, "segments samples columns"]
+    start: Start
+    offset: Float[np.ndarray, "segments states"]
+    latent: LatentStarts
+    middle: Float[np.ndarray, " values"]  # of the simulated signals
+    basis: Float[np.ndarray, "values features"]
+    options: Mapping[str, Any]
+
+    def features(self, problem: Problem) -> Float[np.ndarray, " features"]:
+        """The components of a problem's recordings; MethodNotApplicable where they are not of the same kind."""
+        self._same_plan(problem.segments.recordings)
+        error = problem.residuals(self.values).reshape(problem.segments.count, -1) * self.latent.weight
+        apart = tangent(problem, self.start) - self.offset
+        change = self.latent.project(self.latent.stack_whitened(error[..., None], apart[..., None]))
+        return (change.ravel() - self.middle) @ self.basis
+
+    def _same_plan(self, recordings: tuple[Recording, ...]) -> None:
+        """Names, columns, clocks, commands and what is missing have to be those that were imitated."""
+        for known, given in zip_longest(self.recordings, recordings):
+            if known is None or given is None or not _alike(known, given):
+                name = next((r.name for r in (given, known) if r is not None), "")
+                raise MethodNotApplicable(
+                    f"npe: recording {name} differs in more than its values from what was learned from; allowed: the "
+                    "same recordings, columns, times, commands and missing samples"
+                )
+
+
+def _alike(a: Recording, b: Recording) -> bool:
+    """Whether they have the same besides their values."""
+    pairs = (a.time, b.time), (a.ctrl, b.ctrl), (np.isfinite(a.values), np.isfinite(b.values))
+    return (a.name, a.columns) == (b.name, b.columns) and all(np.array_equal(x, y) for x, y in pairs)
+
+
+def train(
+    problem: Problem,
+    key: int | jax.Array,
+    *,
+    num_simulations: int = 5_000,
+    num_features: int = 32,
+    num_members: int = 4,
+    width: int = 64,
+    patience: int = 20,
+    num_epochs: int = 300,
+) -> Trained:
+    """Flows that serve for any values that recordings like the problem's may have, from about the same starts.
+
+    What initial states explain and how large noise is are found at the problem's own recordings.
+    """
+    _refuse(problem, num_simulations)
+    return _learned(
+        density_of(problem),
+        numpy_random(key := as_key(key)),
+        jax.random.split(key)[0],
+        num_simulations=num_simulations,
+        num_features=num_features,
+        num_members=num_members,
+        width=width,
+        patience=patience,
+        num_epochs=num_epochs,
+    )
+
+
+def apply(
+    trained: Trained, problem: Problem, key: int | jax.Array, *, num_samples: int = 1000, refine: Refine = "none"
+) -> DataTree:
+    """As `fit`, without its learning; of other recordings than those that `train` saw."""
+    options = {"num_samples": num_samples, "refine": refine} | dict(trained.options)
+    each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
+    key = as_key(key)
+    with measured(problem) as cost:
+        return _tree(trained, density_of(problem), key, numpy_random(key), each, refine, options, seed_of(key), cost)
+
+
+def _learned(
+    density: Density,
+    random: np.random.Generator,
+    key: jax.Array,
+    progress: Progress | None = None,
+    *,
+    num_simulations: int,
+    num_features: int,
+    **training: int,
+) -> Trained:
+    z, signal, middle, basis = _simulated(
+        density, random.standard_normal((num_simulations, density.size)), num_features
+    )
+    report = {} if progress is None else {"progress": progress}
+    flow = _flow.train(z, signal, key, Training(**training), noise=1.0, **report)
+    own, options = density.problem.segments, {"num_simulations": num_simulations, "num_features": num_features}
+    return Trained(
+        flow, own.recordings, own.values, density.start, density.offset, density.latent, middle, basis,
+        options | training,
+    )  # fmt: skip
+
+
+def _tree(
+    trained: Trained,
+    density: Density,
+    key: jax.Array,
+    random: np.random.Generator,
+    each: int,
+    refine: Refine,
+    options: Mapping[str, Any],
+    seed: int,
+    cost: Cost,
+) -> DataTree:
+    """Draws of the flow, weighed by the exact likelihood."""
+    here = trained.features(density.problem)
+    drawn = trained.flow.sample(key, here, NUM_CHAINS * each)
+    return build_weighed(
+        density,
+        Weighed.of(density, drawn, trained.flow.log_density(drawn, here)),
+        NUM_CHAINS,
+        refine,
+        random,
+        sample_stats={"loss": (("epoch",), trained.flow.history.mean(1))},
+        method="npe",
+        options=options,
+        seed=seed,
+        cost=cost,
+    )
 
 
 def _simulated(
     density: Density, z: Float[np.ndarray, "sims size"], num_features: int
-) -> tuple[Float[np.ndarray, "whole size"], Float[np.ndarray, "whole features"], Float[np.ndarray, " features"]]:
-    """z whose simulations stay finite, the components of these without noise, and those of the recordings.
+) -> tuple[
+    Float[np.ndarray, "whole size"],
+    Float[np.ndarray, "whole features"],
+    Float[np.ndarray, " values"],
+    Float[np.ndarray, "values features"],
+]:
+    """z whose simulations stay finite, the components of these without noise, the signals' mean and the directions.
 
     SimulationDiverged: too few are left.
     """
@@ -102,7 +226,7 @@ def _simulated(
     parts = [(_signals(density, rest[rows]) - middle) @ basis for rows in density.chunks(len(rest))]
     features = np.concatenate([(begun - middle) @ basis, *parts])
     whole = np.isfinite(features).all(1)
-    return z[whole], features[whole], -middle @ basis
+    return z[whole], features[whole], middle, basis
 
 
 def _signals(density: Density, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points values"]:

@@ -56,14 +56,13 @@ def temper(
     Raises SamplingFailed where `max_stages` do not reach the target.
     """
     import blackjax
+    from blackjax.smc.resampling import systematic
 
     jax.config.update("jax_enable_x64", True)
     path, key = _Path(log_first, log_target), as_key(key)
     particles, alive = path.alive(np.asarray(particles, dtype=float), numpy_random(key))
     first, ratio = _for_jax(path.first), _for_jax(path.ratio)
-    kernel = blackjax.adaptive_tempered_smc.build_kernel(
-        first, ratio, _walk, blackjax.rmh.init, blackjax.smc.resampling.systematic, target_ess
-    )
+    kernel = blackjax.adaptive_tempered_smc.build_kernel(first, ratio, _walk, blackjax.rmh.init, systematic, target_ess)
     step = jax.jit(kernel, static_argnums=2)
     state = blackjax.adaptive_tempered_smc.init(jnp.asarray(particles))
     tempering, acceptance, evidence = [0.0], [], float(np.log(alive))

@@ -41,7 +41,7 @@ class Population:
         """`count` parameters."""
         loc, scale, low, high = (np.asarray(x, float) for x in (self.loc, self.scale, self.low, self.high))
         a, b = (low - loc) / scale, (high - loc) / scale
-        return stats.truncnorm.rvs(a, b, loc, scale, size=(count, len(loc)), random_state=random)
+        return np.asarray(stats.truncnorm.rvs(a, b, loc, scale, size=(count, len(loc)), random_state=random))
 
 
 REALITY = Population((0.23, 0.11, -1.7), (0.01, 0.04, 0.05))

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from det2stoc_bayes import models
+
 ROOT = Path(__file__).parents[1]
 EDGE = (
     "cli.py",
@@ -97,6 +99,18 @@ def test_the_frame_knows_no_system_and_no_method():
 def test_models_and_methods_do_not_know_each_other():
     assert not _violations(_in("models"), "det2stoc_bayes.inference")
     assert not _violations(_in("inference"), "det2stoc_bayes.models")
+
+
+def test_problems_are_the_models_that_pose_one():
+    """`models` names them, since to look for them would import them all."""
+    posed = {"record": set(), "PROBLEM": set()}
+    for name in set(_in("models")) - {"models/__init__.py"}:
+        for node in TREES[name].body:
+            told = {node.name} if isinstance(node, ast.FunctionDef) else set()
+            told |= {ast.unparse(t) for t in node.targets} if isinstance(node, ast.Assign) else set()
+            for kind in posed.keys() & told:
+                posed[kind].add(Path(name).stem)
+    assert posed == {"record": set(models.PROBLEMS), "PROBLEM": set(models.VECTORS)}
 
 
 def test_nothing_builds_on_the_command_line():

@@ -13,7 +13,7 @@ from det2stoc_bayes.calibration import NUM_DRAWS, Experiment, Replication, judge
 from det2stoc_bayes.coverage import ecdf_band, holm
 from det2stoc_bayes.errors import Det2StocError, SamplingFailed
 from det2stoc_bayes.executors import Here
-from det2stoc_bayes.models import get_problem, linear_gaussian, problems
+from det2stoc_bayes.models import PROBLEMS, get_problem, linear_gaussian
 from det2stoc_bayes.replication import bare, fitted_start, replicate
 from det2stoc_bayes.report.calibration_page import calibration_page
 
@@ -176,8 +176,8 @@ def test_what_fails_is_a_line_as_well(tmp_path):
 
 
 def test_problems_go_by_their_modules_names():
-    assert {"cartpole", "linear_gaussian", "pendulum"} <= set(problems()) and "windy_slope" not in problems()
-    for name in problems():
+    assert {"cartpole", "linear_gaussian", "pendulum"} <= set(PROBLEMS) and "windy_slope" not in PROBLEMS
+    for name in PROBLEMS:
         assert get_problem(name, num_threads=1).simulator.study.name == name
     with pytest.raises(Det2StocError, match="unknown problem 'linear_gausian'; did you mean 'linear_gaussian'"):
         get_problem("linear_gausian")

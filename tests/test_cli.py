@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from threading import Event
@@ -16,7 +17,7 @@ from conftest import HINGE, make_study, model_xml
 from rich.console import Console
 from typer.testing import CliRunner
 
-from det2stoc_bayes import cli, identifiability, progress
+from det2stoc_bayes import cli, identifiability, progress, verbs
 from det2stoc_bayes.errors import StudyError
 from det2stoc_bayes.identifiability import check
 
@@ -112,6 +113,12 @@ def test_check_as_json(study):
     assert all(len(group) > 1 for group in answer["open_equivalences"])
 
 
+def test_check_warns_of_a_fit_that_stalled(study, monkeypatch):
+    climb = identifiability.climb
+    monkeypatch.setattr(identifiability, "climb", lambda problem: replace(climb(problem), end="stalled"))
+    assert "warning: psi: the quick fit stalled where" in run("check", study).stderr
+
+
 def test_check_without_psi_says_so(tmp_path):
     shown = run("check", make_study(tmp_path / "arm", model_xml(HINGE), "", {"swing": _swing()}).folder)
     assert shown.exit_code == 0 and "The study has no psi" in shown.output
@@ -149,9 +156,9 @@ def test_fit_writes_a_file_and_a_summary(study, tmp_path):
         (("check", "nowhere"), "error: nowhere: no such folder"),
         (("diagnose", "nowhere", "--out", "out"), "error: nowhere: no such folder"),
         (("fit", "nowhere", "--out", "out"), "error: nowhere: no such folder"),
-        (("fit", "nowhere", "--method", "nuts2", "--out", "out"), "error: method: unknown method 'nuts2'"),
+        (("fit", "nowhere", "--method", "nuts2", "--out", "out"), "error: --method: unknown method 'nuts2'"),
         (("fit", "nowhere", "--engine", "bullet", "--out", "out"), "'bullet' is not one of 'c', 'mjx'"),
-        (("fit", "nowhere", "--num-samples", "0", "--out", "out"), "--num-samples"),
+        (("fit", "nowhere", "--num-samples", "3", "--out", "out"), "greater than or equal to 4"),
         (("fit", "nowhere"), "Missing option '--out'"),
         (("check", "nowhere", "--seed", "-1"), "--seed"),
         (("effects", "--loud"), "No such option"),
@@ -160,6 +167,11 @@ def test_fit_writes_a_file_and_a_summary(study, tmp_path):
         (("calibrate", "linear_gausian", "--method", "nuts", "--out", "out"), "did you mean 'linear_gaussian'?"),
         (("calibrate", "linear_gaussian", "--method", "nutz", "--out", "out"), "did you mean 'nuts'?"),
         (("calibrate", "linear_gaussian", "--method", "baseline_cvae", "--out", "out"), "infers no posterior"),
+        (
+            ("calibrate", "linear_gaussian", "--method", "nuts+psis", "--out", "out"),
+            "--method: found 'nuts+psis'",
+        ),
+        (("compare", "two_moons", "--methods", "npe", "--out", "out"), "which has no recordings: `make compare-sbi`"),
         (("calibrate", "linear_gaussian", "--method", "nuts", "--num-replications", "5", "--out", "out"), "--num-repl"),
     ],
 )
@@ -179,6 +191,26 @@ def test_a_file_in_place_of_a_folder_is_an_error_before_the_work(study, tmp_path
     assert shown.exit_code == 2
     assert shown.stderr.startswith(f"error: --out {tmp_path}/out/deep: {tmp_path}/out is a file; allowed:")
     assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("command", "file"),
+    [
+        (("fit", "--method", "laplace"), "fit.nc"),
+        (("compare", "--methods", "laplace"), "report.html"),
+        (("compare", "--methods", "laplace"), "runs/laplace.nc"),
+        (("calibrate", "--method", "laplace"), "replications.jsonl"),
+        (("diagnose",), "diagnosis.json"),
+    ],
+)
+def test_a_folder_in_place_of_a_file_is_an_error_before_the_work(study, tmp_path, monkeypatch, command, file):
+    for work in ("fit", "_drawn", "_posed", "diagnose"):
+        monkeypatch.setattr(verbs, work, lambda *_, **__: pytest.fail("it was begun"))
+    (tmp_path / "out" / file).mkdir(parents=True)
+    shown = run(command[0], study, *command[1:], "--out", tmp_path / "out")
+    assert shown.exit_code == 2
+    assert shown.stderr.splitlines()[-1].startswith(f"error: {tmp_path}/out/{file}: found a folder")
+    assert [p for p in (tmp_path / "out").rglob("*") if p.is_file()] == []
 
 
 def test_warnings_of_the_study_are_shown_once_and_of_libraries_never(study, monkeypatch):
@@ -240,7 +272,8 @@ def test_effects_lists_the_catalogue():
     from det2stoc_bayes.mismatch.effects import CATALOGUE
 
     listed = json.loads(run("effects", "--json").stdout)
-    assert [e["name"] for e in listed] == [form.name for e in CATALOGUE.values() for form in e.forms()]
+    forms = [(form.name, form.kind, form.law_text) for e in CATALOGUE.values() for form in e.forms()]
+    assert [e["name"] for e in listed] == [name for name, *_ in dict.fromkeys(forms)]
     friction = next(e for e in listed if e["name"] == "coulomb_friction")
     assert friction["law"] == "-F sign(v)"
     assert friction["parameters"] == [{"name": "force", "unit": ["N", "N m"], "size": 1}]

@@ -8,16 +8,18 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from multiprocessing import active_children
 
 import pytest
 
-from det2stoc_bayes import verbs
+from det2stoc_bayes import executors, verbs
 from det2stoc_bayes.blind import proof
 from det2stoc_bayes.blind.conceal import ConcealedCase
 from det2stoc_bayes.blind.draw import Choice
 from det2stoc_bayes.errors import Det2StocError, SamplingFailed
-from det2stoc_bayes.executors import WorkersLost, finished, workers
+from det2stoc_bayes.executors import Here, WorkersLost, finished, workers
 from det2stoc_bayes.models import linear_gaussian
 from det2stoc_bayes.study import load_study
 
@@ -63,11 +65,32 @@ def test_a_process_that_ends_is_an_error_and_no_traceback():
 
 
 def test_stopping_early_ends_the_processes():
-    began = time.monotonic()
+    others, started = set(active_children()), set()
     with pytest.raises(KeyboardInterrupt), workers(2) as executor:
-        for _ in finished(executor, time.sleep, [0, 60, 60, 60]):
+        for _ in finished(executor, time.sleep, [0, 600, 600, 600]):
+            started = set(active_children()) - others
+            assert len(started) == 2 and all(process.is_alive() for process in started)
             raise KeyboardInterrupt
-    assert time.monotonic() - began < 30
+    for process in started:
+        process.join(timeout=20)
+        assert process.exitcode is not None  # sleeping still, it would have none
+
+
+def test_there_are_no_more_processes_than_tasks():
+    with workers(8, most=1) as executor:
+        assert isinstance(executor, Here)
+    with workers(8, most=2) as executor:
+        assert isinstance(executor, ProcessPoolExecutor)
+        assert executor._max_workers == 2
+
+
+def test_processes_of_compare_simulate_by_one_thread(tmp_path, monkeypatch):
+    study, seen = load_study(linear_gaussian.write_study(tmp_path / "slides", (0.3, -0.1), seed=1)), []
+    monkeypatch.setattr("det2stoc_bayes.executors.finished", lambda executor, draw, _: seen.append(draw.args[2]) or ())
+    for jobs in (2, 1):
+        with pytest.raises(Det2StocError):
+            verbs.compare(study, ["laplace", "prior"], tmp_path / "out", jobs=jobs)
+    assert seen == [1, 0]
 
 
 @pytest.fixture
@@ -106,9 +129,9 @@ def test_without_dask_the_error_says_how_to_get_it(monkeypatch):
 
 
 class Cluster:
-    """`dask scheduler` and two `dask worker` processes on loopback."""
+    """`dask scheduler` and `dask worker` processes on loopback."""
 
-    def __init__(self):
+    def __init__(self, num_workers=2):
         self.processes = []
         scheduler = self._start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", stderr=subprocess.PIPE)
         for line in scheduler.stderr:
@@ -116,7 +139,7 @@ class Cluster:
                 self.address = found[0]
                 break
         threading.Thread(target=scheduler.stderr.read, daemon=True).start()
-        for _ in range(2):
+        for _ in range(num_workers):
             self._start("dask_worker", self.address, "--no-nanny", stderr=subprocess.DEVNULL)
 
     def _start(self, program, *arguments, **streams):
@@ -138,6 +161,17 @@ def cluster():
     made = Cluster()
     yield made
     made.end()
+
+
+def test_a_cluster_without_a_worker_is_told(monkeypatch):
+    monkeypatch.setattr(executors, "PATIENCE", 0.5)
+    alone = Cluster(0)
+    try:
+        said = f"--cluster {alone.address}: found no worker within 0.5 s"
+        with pytest.raises(Det2StocError, match=said), workers(cluster=alone.address):
+            pass
+    finally:
+        alone.end()
 
 
 def lines(out):
@@ -167,7 +201,7 @@ def test_methods_and_seeds_are_compared_on_a_cluster_as_here(cluster, tmp_path):
     study = load_study(linear_gaussian.write_study(tmp_path / "slides", (0.3, -0.1), seed=1))
     options = {"num_samples": 200, "num_seeds": 2}
     there = verbs.compare(study, ["laplace", "prior"], tmp_path / "there", cluster=cluster.address, **options)
-    here = verbs.compare(study, ["laplace", "prior"], tmp_path / "here", **options)
+    here = verbs.compare(study, ["laplace", "prior"], tmp_path / "here", jobs=1, **options)
     assert [row.label for row in there.rows] == ["laplace", "laplace, seed 1", "prior", "prior, seed 1"]
     for one, other in zip(there.runs, here.runs, strict=True):
         for group in ("posterior", "sample_stats", "log_likelihood"):

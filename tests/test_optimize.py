@@ -42,7 +42,7 @@ def pendulum(tmp_path_factory):
 
 def test_known_parameters_are_found(pendulum):
     found = fit(pendulum)
-    assert found.converged and found.noise_inflation == pytest.approx(1.0, abs=0.25)  # measured 0.98; sd 0.09
+    assert found.end == "converged" and found.noise_inflation == pytest.approx(1.0, abs=0.25)  # measured 0.98; sd 0.09
     psi = dict(zip(TRUTH, pendulum.psi(found.point.z), strict=True))
     shift = 1e-4
     for j, (name, true) in enumerate(TRUTH.items()):
@@ -89,7 +89,7 @@ def test_the_likelihood_is_that_of_a_dense_gaussian(tmp_path):
 def test_a_bad_start_leads_to_the_same_top(pendulum, z):
     good, found = fit(pendulum, tolerance=1e-4), fit(pendulum, z, tolerance=1e-4, max_iterations=20)
     away = found.point.z - good.point.z
-    assert found.converged
+    assert found.end == "converged"
     assert np.sqrt(away @ np.linalg.solve(good.covariance, away)) < 0.01  # measured: 3e-4 sds at most
 
 
@@ -107,6 +107,12 @@ def test_a_step_that_overshoots_is_shortened(pendulum, monkeypatch):
     monkeypatch.setattr(optimize, "_line_search", lambda linear, steps: [None] * len(linear))
     stuck = fit(pendulum, [-1, 1], max_iterations=6, **options)
     assert optimize._height(stuck.linear, 1.0) > 1e3
+    assert stuck.end == "stalled"
+
+
+def test_a_search_says_how_it_ended(pendulum):
+    assert fit(pendulum, [-1, 1], max_iterations=1, tolerance=1e-4).end == "unfinished"
+    assert fit(pendulum, [-1, 1], max_iterations=20, tolerance=1e-4).end == "converged"
 
 
 def test_divergence_is_none_and_leaves_the_others_alone(tmp_path):

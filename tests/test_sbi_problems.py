@@ -9,6 +9,10 @@ import pytest
 
 from det2stoc_bayes.models import gaussian_linear, slcp, two_moons
 
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+import compare_sbi  # noqa: E402
+
 PROBLEMS = (gaussian_linear.PROBLEM, slcp.PROBLEM, two_moons.PROBLEM)
 NUM_PRIOR = 1_000_000
 WITHIN = 5.0  # standard errors; measured: 3.2 at most
@@ -76,3 +80,12 @@ def test_theta_and_back(problem):
     x = problem.simulate(problem.constrained(z), np.random.default_rng(4))
     expected = problem.log_likelihood(problem.constrained(z), x[0]) - 0.5 * (z**2 + np.log(2 * np.pi)).sum(1)
     np.testing.assert_allclose(problem.log_density(z, x[0]), expected)
+
+
+def test_seeds_of_an_observation_are_no_further_evidence():
+    """Two observations whose seeds agree: the standard error is that of two values, however many seeds there are."""
+    scores = {"npe": [0.6, 0.8], "npe+psis": [0.5, 0.5], "k_hat": [0.2, 0.71]}
+    one = {"problem": "two_moons", "simulations": 1000, "seconds": 10.0} | scores
+    for lines in ([one], [one] * 5):
+        told = list(compare_sbi.summary(lines))[-1]
+        assert told == f"| two_moons | 1000 | 0.700 ± 0.100 | 0.500 ± 0.000 | 1 of 2 | 0.725 | {len(lines)} | 10 |"

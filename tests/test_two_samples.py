@@ -1,11 +1,18 @@
 """Distances between sets of draws against what is known of Gaussians."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from det2stoc_bayes import two_samples, two_samples_jax
+from det2stoc_bayes import two_samples
 from det2stoc_bayes.two_samples import gaussian_kl, mean_errors, sd_errors, sliced_wasserstein
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+import two_samples_jax  # noqa: E402
 
 NUM = 2000
 BOTH = pytest.mark.parametrize("c2st", [two_samples.c2st, two_samples_jax.c2st], ids=["sklearn", "jax"])

@@ -13,13 +13,12 @@ from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
 from det2stoc_bayes.mismatch.experiment import propose
 from det2stoc_bayes.mismatch.heldout import horizon_samples
 from det2stoc_bayes.mismatch.judgement import Judgement, Named
-from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, excess_beyond_chance
-from det2stoc_bayes.mismatch.statements import alternatives, draws, element, finer_step, parameters, statement
+from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element, excess_beyond_chance
+from det2stoc_bayes.mismatch.statements import alternatives, draws, drop, element, finer_step, parameters, statement
 from det2stoc_bayes.mismatch.where import Condition
 
 UNLIKELY = 0.01  # tail probability under its prior at which a psi is said to lie far out
 LISTED = 4  # recordings by name in the summary
-SEEN = 0.005  # change of an error that is told
 PACKAGES = ("det2stoc-bayes", "mujoco", "numpy", "scipy")
 
 
@@ -46,7 +45,7 @@ class Composer:
                 "summary": self._summary(named, candidates, fit, psi),
                 "evidence": {"log10_bayes_factor": self._bayes_factor(), "noise_inflation": self._inflation()},
                 "where": {
-                    "elements": _shares(named),
+                    "elements": by_element(named),
                     "when": [{"condition": c.text, "share": c.share} for c in self.when],
                 },
                 "effects": named,
@@ -177,13 +176,13 @@ class Composer:
                 if c.element
             ]
             if candidates and candidates[0].probability >= finding.SURE:
-                drop = _drop(fit, "the best that was found")
-                return f"Something was left out, and nothing found accounts for it; nearest is {each[0]}. {drop}"
+                gone = drop(fit, "the best that was found")
+                return f"Something was left out, and nothing found accounts for it; nearest is {each[0]}. {gone}"
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
-        drop = _drop(fit, "it" if len(effects) == 1 else "them")
+        gone = drop(fit, "it" if len(effects) == 1 else "them")
         step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()
         told = [text for e in effects for text in (e.statement, _untold(e, alone=len(effects) == 1))]
-        return " ".join(text for text in [*told, drop, step, left] if text)
+        return " ".join(text for text in [*told, gone, step, left] if text)
 
     def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:
         count = self.judged.found.num_candidates
@@ -202,16 +201,6 @@ class Composer:
         return text
 
 
-def _shares(effects: tuple[finding.Effect, ...]) -> list[dict]:
-    """Each element's share of what the effects explain together."""
-    total = sum(max(e.explains or 0.0, 0.0) for e in effects) or 1.0
-    shares: dict[tuple[str, str], float] = {}
-    for e in effects:
-        key = (e.element.kind, e.element.name)
-        shares[key] = shares.get(key, 0.0) + max(e.explains or 0.0, 0.0) / total
-    return [{"kind": kind, "name": name, "share": s} for (kind, name), s in shares.items()]
-
-
 def _untold(effect: finding.Effect, alone: bool) -> str:
     """In which recordings an effect does not show, or is not sure; empty where there is none."""
     of = {kind: [p.recording for p in effect.by_recording if p.kind == kind] for kind in ("negligible", "uncertain")}
@@ -220,18 +209,3 @@ def _untold(effect: finding.Effect, alone: bool) -> str:
         return ""
     subject = "It" if alone else effect.name.replace("_", " ").capitalize()
     return f"{subject} is {' and '.join(parts)}."
-
-
-def _drop(fit: finding.Fit, them: str) -> str:
-    """By how much columns' held-out errors fall, where one rises or a rollout diverges; empty where nothing changes."""
-    before, after = fit.rollout_rmse_before, fit.rollout_rmse_after
-    drops = {c: 1 - a / b for c in before if (b := before[c]) and (a := after.get(c)) is not None}
-    falls = sorted(d for d in drops.values() if d >= SEEN)
-    parts = []
-    if falls:
-        low, high = f"{falls[0]:.0%}", f"{falls[-1]:.0%}"
-        many = f"{low} to {high}, depending on the column" if low != high else high
-        parts.append(f"the held-out error falls by {many}")
-    parts += [f"that of {c} rises by {-d:.0%}" for c, d in drops.items() if d <= -SEEN]
-    parts += [f"held-out rollouts of {c} diverge" for c, b in before.items() if b is not None and after.get(c) is None]
-    return f"With {them} {'; '.join(parts)}." if parts else ""

@@ -172,7 +172,7 @@ def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = 
 def _settled(fits: Sequence[Fit], share: float, first: int) -> list[Fit]:
     """The leaders at their optima: under a large misfit a race is over long before that, and the slower one may win."""
     leaders = sorted(fits, key=lambda f: -log_evidence(f, share))[:NUM_LEADERS]
-    slow = [f for f in leaders if not f.converged and f.noise_inflation >= MODEL_ERROR]
+    slow = [f for f in leaders if f.end == "unfinished" and f.noise_inflation >= MODEL_ERROR]
     on = [(f.problem, f.point) for f in slow]
     found = fit_many(on, max_iterations=MOST_ITERATIONS, tolerance=SETTLED / share) if slow else []
     better = {

@@ -72,4 +72,4 @@ def reordered(fit: Fit, i: int) -> Fit:
     lin = fit.linear
     point = Point(lin.point.z[order], lin.point.start)
     moved = replace(lin, problem=problem, point=point, columns=lin.columns[..., order])
-    return summarize(moved, True, fit.converged)
+    return summarize(moved, True, fit.end)

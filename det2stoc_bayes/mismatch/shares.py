@@ -1,9 +1,11 @@
 """What part of the held-out error an effect explains, over all recordings and in each of them."""
 
+from typing import Any
+
 import numpy as np
 
 from det2stoc_bayes.mismatch.evidence import CHANCE
-from det2stoc_bayes.mismatch.finding import RecordingPart
+from det2stoc_bayes.mismatch.finding import Effect, RecordingPart
 from det2stoc_bayes.mismatch.heldout import HeldOut
 
 NEGLIGIBLE = 0.05  # of the held-out squared error beyond noise
@@ -37,6 +39,16 @@ def shares_by_recording(believed: HeldOut, base: HeldOut, better: HeldOut) -> tu
         share = float(np.clip(gain / before, -1.0, 1.0)) if before else None
         out.append(RecordingPart(recording=name, explains=share, kind=kind))
     return tuple(out)
+
+
+def by_element(effects: tuple[Effect, ...]) -> list[dict[str, Any]]:
+    """Each element's share of what the effects explain together."""
+    total = sum(max(e.explains or 0.0, 0.0) for e in effects) or 1.0
+    shares: dict[tuple[str, str], float] = {}
+    for e in effects:
+        key = (e.element.kind, e.element.name)
+        shares[key] = shares.get(key, 0.0) + max(e.explains or 0.0, 0.0) / total
+    return [{"kind": kind, "name": name, "share": s} for (kind, name), s in shares.items()]
 
 
 def _excess(chi2: float, values: float) -> float:

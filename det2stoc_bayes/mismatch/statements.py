@@ -14,6 +14,7 @@ from det2stoc_bayes.problem import HasProblem, Problem
 
 NUM_DRAWS = 1000
 INTERVAL = (2.5, 97.5)
+SEEN = 0.005  # change of an error that is told
 
 
 def draws(fit: Fit, share: float, seed: int, num_draws: int = NUM_DRAWS) -> Float[np.ndarray, "draws size"]:
@@ -104,3 +105,18 @@ def alternatives(rest: Sequence[Class], limit: int = 5) -> list[finding.Alternat
         )
         for c in rest[:limit]
     ]
+
+
+def drop(fit: finding.Fit, them: str) -> str:
+    """By how much columns' held-out errors fall, where one rises or a rollout diverges; empty where nothing changes."""
+    before, after = fit.rollout_rmse_before, fit.rollout_rmse_after
+    drops = {c: 1 - a / b for c in before if (b := before[c]) and (a := after.get(c)) is not None}
+    falls = sorted(d for d in drops.values() if d >= SEEN)
+    parts = []
+    if falls:
+        low, high = f"{falls[0]:.0%}", f"{falls[-1]:.0%}"
+        many = f"{low} to {high}, depending on the column" if low != high else high
+        parts.append(f"the held-out error falls by {many}")
+    parts += [f"that of {c} rises by {-d:.0%}" for c, d in drops.items() if d <= -SEEN]
+    parts += [f"held-out rollouts of {c} diverge" for c, b in before.items() if b is not None and after.get(c) is None]
+    return f"With {them} {'; '.join(parts)}." if parts else ""

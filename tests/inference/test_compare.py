@@ -169,7 +169,7 @@ def test_the_command_draws_what_is_missing_and_nothing_twice(gaussian_study, tmp
     def run(*methods, **more):
         options = [f"--{k.replace('_', '-')}={v}" for k, v in more.items()]
         found = CliRunner().invoke(cli.app, ["compare", str(gaussian_study), "--methods", ",".join(methods),
-                                             "--out", str(out), "--json", *options])  # fmt: skip
+                                             "--out", str(out), "--json", "--jobs", "1", *options])  # fmt: skip
         assert found.exit_code == 0, found.stderr
         return json.loads(found.stdout), {p.name: p.stat().st_mtime_ns for p in (out / "runs").iterdir()}
 

@@ -1,6 +1,8 @@
 """Neural posterior estimation against closed forms, and its flow as a density."""
 
 import json
+import pickle
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -13,6 +15,7 @@ from det2stoc_bayes.models import linear_gaussian
 from det2stoc_bayes.posterior import ATTRIBUTES, GROUPS, load, save
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.psis import smooth
+from det2stoc_bayes.replication import bare, fitted_start, replicate
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import load_study
 
@@ -34,13 +37,42 @@ def learned(gaussian_problem):
 
 
 @pytest.fixture(scope="module")
-def refined(gaussian_problem):
-    return npe.fit(gaussian_problem, KEY, num_samples=1000, refine="psis", **SMALL)
+def trained(gaussian_problem):
+    """Learned once, and sent to another process."""
+    return pickle.loads(pickle.dumps(npe.train(gaussian_problem, KEY, **SMALL)))
 
 
-def test_it_learns_anew_for_every_study():
-    """A method that has `train` is calibrated by one training."""
-    assert not hasattr(npe, "train")
+@pytest.fixture(scope="module")
+def refined(trained, gaussian_problem):
+    return npe.apply(trained, gaussian_problem, KEY, num_samples=1000, refine="psis")
+
+
+def test_it_learns_once_for_recordings_of_a_kind(trained, gaussian_problem):
+    """Of other recordings, simulated under psi from the prior, means within 0.25 sd, sds within 10 %."""
+    start = fitted_start(gaussian_problem)
+    for i in range(2):
+        problem, _ = replicate(bare(gaussian_problem), start, np.random.default_rng([5, i]))
+        tree = npe.apply(trained, problem, 1, num_samples=2000)
+        mean, covariance = linear_gaussian.exact_posterior(problem)
+        sd = np.sqrt(np.diag(covariance))
+        draws = draws_of(tree)
+        assert np.abs((draws.mean(0) - mean) / sd).max() < 0.25
+        np.testing.assert_allclose(draws.std(0) / sd, 1.0, atol=0.1)
+        assert json.loads(tree.attrs["options"]) | SMALL == json.loads(tree.attrs["options"])
+
+
+def test_what_was_learned_reads_its_own_recordings_as_a_fit_does(trained, learned, gaussian_problem):
+    np.testing.assert_allclose(trained.features(gaussian_problem), -trained.middle @ trained.basis, atol=1e-9)
+    np.testing.assert_array_equal(trained.flow.history.mean(1), learned[0].sample_stats.loss)
+
+
+def test_recordings_of_another_kind_are_refused(trained, gaussian_problem):
+    study = gaussian_problem.simulator.study
+    first, *rest = study.recordings
+    later = replace(first, time=first.time + np.linspace(0.0, 0.01, len(first.time)))
+    other = make_problem(gaussian_problem.simulator.on(replace(study, recordings=(later, *rest))))
+    with pytest.raises(MethodNotApplicable, match=f"npe: recording {first.name} differs"):
+        npe.apply(trained, other, 0, num_samples=8)
 
 
 def test_contract(learned, gaussian_problem, tmp_path):
@@ -78,11 +110,6 @@ def test_refined_draws_are_the_posterior_s(refined, gaussian_problem):
     assert refined.attrs["k_hat"] < 0.7 and refined.attrs["effective_draws"] > 1000
     assert np.abs((draws.mean(0) - mean) / sd).max() < 4 / np.sqrt(1000)
     np.testing.assert_allclose(draws.std(0) / sd, 1.0, atol=4 / np.sqrt(2000))
-
-
-def test_the_same_key_learns_the_same(learned, refined):
-    tree, _ = learned
-    np.testing.assert_array_equal(tree.sample_stats.loss, refined.sample_stats.loss)
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 from conftest import make_study
 
+from det2stoc_bayes.mismatch.contact.compose import ContactComposer
+from det2stoc_bayes.mismatch.contact.judge import judged
 from det2stoc_bayes.mismatch.contact.run import touches
 from det2stoc_bayes.mismatch.contact.scales import DEGREES, certainty, scales_of, scatter
-from det2stoc_bayes.mismatch.contact.search import settled
-from det2stoc_bayes.mismatch.contact.window_fit import bounded, steady
+from det2stoc_bayes.mismatch.contact.search import Pair, settled
+from det2stoc_bayes.mismatch.contact.window_fit import at, bounded, steady
 from det2stoc_bayes.mismatch.contact.windows import FARTHEST, make_windows
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
@@ -107,3 +109,17 @@ def test_friction_is_found_from_noisy_starts(problem):
     assert abs(friction - TRUTH) < 4 * sd + 0.003, (friction, sd)
     # measured: 5.7 noise sds in x, 145 in a rate of tilting, which depends on contact alone
     assert fit.scales.values[-1, 0] < 12 < fit.scales.values.max()
+
+
+def test_windows_know_their_recordings_and_a_posterior_what_it_took(problem):
+    windows, recordings = make_windows(problem), problem.simulator.study.recordings
+    fit = at(windows.on(recordings[:3]), np.zeros(1))
+    pair = Pair(fit, at(windows.on(recordings[2:]), np.zeros(1), fit.scales))
+    each = fit.windows.count // 3
+    np.testing.assert_array_equal(pair.owners, np.repeat(np.arange(5), each))  # the third, held out, is another
+    counter = problem.simulator.counter
+    begun = counter.simulations
+    said = judged(pair, [], False, 0, pair)
+    assert said.evaluations == (counter.simulations - begun) // fit.windows.count > 0
+    belief = ContactComposer(said, [], 0)._belief(pair)
+    assert belief["evaluations"] == said.evaluations

@@ -68,7 +68,7 @@ def residual_fit(folder, residual, inflation=10.0):
     empty = np.zeros((count, flat.shape[1] + 2, 0))
     lin = Linearization(problem, start_point(problem), latent, latent.stack(flat), empty)
     chi2 = inflation * lin.degrees_of_freedom
-    return Fit(lin, np.zeros((0, 0)), inflation, chi2, 0.0, True)
+    return Fit(lin, np.zeros((0, 0)), inflation, chi2, 0.0, "converged")
 
 
 def autoregressive(rho, shape, seed=0):

@@ -7,16 +7,17 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch import finding, result
-from det2stoc_bayes.mismatch.compose import PACKAGES, UNLIKELY, _drop, _shares
+from det2stoc_bayes.mismatch.compose import PACKAGES, UNLIKELY
 from det2stoc_bayes.mismatch.conflict import tail_probability
-from det2stoc_bayes.mismatch.contact.judge import Class, Verdict, covariance, log10_bayes, worst_column
+from det2stoc_bayes.mismatch.contact.experiment import proposed
+from det2stoc_bayes.mismatch.contact.judge import Class, Verdict, corrected, covariance, log10_bayes, worst_column
 from det2stoc_bayes.mismatch.contact.places import shares
 from det2stoc_bayes.mismatch.contact.search import Pair
 from det2stoc_bayes.mismatch.contact.window_fit import WindowFit
 from det2stoc_bayes.mismatch.contact.window_starts import LOOKED_AT
 from det2stoc_bayes.mismatch.contact.windows import STRIDE
-from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
-from det2stoc_bayes.mismatch.statements import element, parameters, statement
+from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element
+from det2stoc_bayes.mismatch.statements import drop, element, parameters, statement
 from det2stoc_bayes.mismatch.where import Condition
 
 NUM_DRAWS = 1000
@@ -47,14 +48,12 @@ class ContactComposer:
         named = effects if said.verdict == "mismatch" else ()
         candidates = self._candidates() if said.verdict == "inconclusive" else []
         fit, psi = self._scores(), self._psi()
-        where = _shares(named)
+        where = by_element(named)
         if named:
             between = shares(said.before, said.after)
             known = {e["name"] for e in where if e["kind"] == "contact"}
             where += [{"kind": "contact", "name": n, "share": s} for n, s in between.items() if n not in known]
         worst, ratio = worst_column(said)
-        count = len(self.study.recordings)
-        belief = {"method": "laplace", "k_hat": None, "draws": NUM_DRAWS, "evaluations": count}
         return finding.Finding.model_validate(
             {
                 "verdict": said.verdict,
@@ -72,7 +71,7 @@ class ContactComposer:
                 "seconds": seconds,
                 "versions": {name: version(name) for name in PACKAGES},
                 "seed": self.seed,
-                "belief": {"before": belief, "after": belief},
+                "belief": {"before": self._belief(said.before), "after": self._belief(said.shown)},
                 "predictive_check": {"p_value": None, "worst_channel": worst, "inflation": ratio},
                 "contact": {"windows": said.before.fit.windows.count, "finer_integration": said.fine},
                 "negligible": [
@@ -81,6 +80,11 @@ class ContactComposer:
                 ],
             }
         )
+
+    def _belief(self, pair: Pair) -> dict[str, Any]:
+        """How its draws were made: they cost nothing, but refits to replicas that correct their covariance do."""
+        evaluations = self.said.evaluations if corrected(pair.fit, self.said.replicas) else 0
+        return {"method": "laplace", "k_hat": None, "draws": NUM_DRAWS, "evaluations": evaluations}
 
     def _effect(self, i: int) -> finding.Effect:
         said = self.said
@@ -118,9 +122,7 @@ class ContactComposer:
     def _experiment(self, candidates: list[finding.Alternative]) -> dict[str, Any] | None:
         if not candidates:
             return None
-        names = " and ".join(c.name.replace("_", " ") for c in candidates[:2])
-        text = f"Record again with other starting speeds and from other places, so that contacts differ: {names} part."
-        return {"text": text, "input": None, "initial_state": None, "expected_gain": None}
+        return {"text": proposed(candidates), "input": None, "initial_state": None, "expected_gain": None}
 
     def _scores(self) -> finding.Fit:
         said = self.said
@@ -169,8 +171,8 @@ class ContactComposer:
                     "of the error beyond noise and contact unexplained."
                 )
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
-        drop = _drop(fit, "it" if len(effects) == 1 else "them")
-        return " ".join(t for t in [*(e.statement for e in effects), drop, self._finer()] if t)
+        gone = drop(fit, "it" if len(effects) == 1 else "them")
+        return " ".join(t for t in [*(e.statement for e in effects), gone, self._finer()] if t)
 
     def _finer(self) -> str:
         if not self.said.fine:

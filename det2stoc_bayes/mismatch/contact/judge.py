@@ -41,6 +41,7 @@ class Verdict:
     rounds: tuple[Round, ...]
     fine: bool
     replicas: tuple[WindowFit, ...]
+    evaluations: int  # simulations of all fitted windows that the replicas took
     negligible: tuple[tuple[Pair, float], ...] = ()
 
     @property
@@ -67,7 +68,10 @@ def squares(errors: np.ndarray, reference: Scales) -> Float[np.ndarray, " window
 
 def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair) -> Verdict:
     """Names the additions that recordings which were not fitted ask for, and that nothing else could stand for."""
+    counter = final.fit.problem.simulator.counter
+    begun = counter.simulations
     replicas = replicas_of(final.fit, seed)
+    evaluations = (counter.simulations - begun) // max(final.fit.windows.count, 1)
     pooled = np.sqrt(np.mean([r.scales.values**2 for r in replicas], axis=0))
     reference = Scales(np.maximum(pooled, 1e-300))
     level = float(np.mean([squares(r.errors, reference).mean() for r in replicas]))
@@ -83,6 +87,7 @@ def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair
     random = np.random.default_rng(seed)
     places = tuple(classes(r, random) for r in taken)
     every = {"before": before, "rounds": tuple(rounds), "fine": fine, "replicas": tuple(replicas)}
+    every |= {"evaluations": evaluations}
     common = {**every, "reference": reference, "excess": excess / level, "unexplained": left}
     small = not taken or sum(explains) < NEGLIGIBLE or excess <= 0
     if small:
@@ -136,14 +141,18 @@ def worst_column(verdict: Verdict) -> tuple[str, float]:
 def log10_bayes(before: Pair, after: Pair) -> float:
     """Gain in log likelihood, horizons and columns counted once for all that are correlated."""
     gains = gains_by_window(before, after)
-    owner = np.concatenate([before.fit.windows.recording, 10_000 + before.held.windows.recording])
-    z = certainty(gains, owner)
+    z = certainty(gains, before.owners)
     return float(min(0.5 * z * abs(z), gains.sum()) / np.log(10)) if z > 0 else 0.0
+
+
+def corrected(fit: WindowFit, replicas: tuple[WindowFit, ...]) -> list[WindowFit]:
+    """The replicas that are of this very hypothesis, by whose scatter and bias its covariance is corrected."""
+    return [r for r in replicas if r.problem.effects == fit.problem.effects]
 
 
 def covariance(fit: WindowFit, replicas: tuple[WindowFit, ...]) -> Float[np.ndarray, "size size"]:
     """Of the unknowns; where replicas of this very fit show a bias, that is part of it."""
-    apart = [r.z - fit.z for r in replicas if r.problem.effects == fit.problem.effects]
+    apart = [r.z - fit.z for r in corrected(fit, replicas)]
     if not apart:
         return 1.5 * fit.covariance
     bias = np.mean(apart, axis=0)

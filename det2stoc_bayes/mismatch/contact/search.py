@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise, screen
@@ -38,6 +38,12 @@ class Pair:
     def placed(self) -> PlacedEffect:
         """The effect that was added last."""
         return self.fit.problem.effects[-1]
+
+    @property
+    def owners(self) -> Int[np.ndarray, " windows"]:
+        """A number for the recording of every window, in the order of `losses`; held-out recordings are others."""
+        first = len(self.fit.problem.segments.recordings)
+        return np.concatenate([self.fit.windows.recording, first + self.held.windows.recording])
 
     @property
     def losses(self) -> Float[np.ndarray, " windows"]:
@@ -175,8 +181,7 @@ def resettled(pair: Pair) -> Pair:
 
 def chances(pairs: Sequence[Pair], random: np.random.Generator, count: int = 4000) -> Float[np.ndarray, " pairs"]:
     """Chance of each hypothesis to tell recordings like these best, by the Bayesian bootstrap over recordings."""
-    owner = np.concatenate([pairs[0].fit.windows.recording, 10_000 + pairs[0].held.windows.recording])
-    _, groups = np.unique(owner, return_inverse=True)
+    _, groups = np.unique(pairs[0].owners, return_inverse=True)
     losses = np.stack([np.bincount(groups, p.losses) for p in pairs], 1)
     losses = losses + np.array([0.5 * p.placed.size for p in pairs]) / len(losses)
     weights = random.dirichlet(np.ones(len(losses)), count) * len(losses)
@@ -189,5 +194,4 @@ def alike(a: Pair, b: Pair) -> Bool[np.ndarray, ""]:
     apart = (a.fit.errors - b.fit.errors) / a.fit.scales.values
     near = np.nanmean(np.minimum(apart**2, 9.0)) < 0.05
     total = a.losses - b.losses
-    recording = np.concatenate([a.fit.windows.recording, 10_000 + a.held.windows.recording])
-    return np.asarray(near and abs(certainty(total, recording)) < 2.0)
+    return np.asarray(near and abs(certainty(total, a.owners)) < 2.0)
