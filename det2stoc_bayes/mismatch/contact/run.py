@@ -16,7 +16,6 @@ from det2stoc_bayes.mismatch.contact.search import (
     converged,
     held_out,
     look,
-    resettled,
     settled,
 )
 from det2stoc_bayes.mismatch.contact.window_fit import WindowFit, at
@@ -51,8 +50,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
             break
         base = one.taken
     progress("scoring held-out recordings", 0, 1)
-    final = base if base is before else resettled(base)
-    said = judged(before, rounds, fine, seed, final)
+    said = judged(before, rounds, fine, seed, base)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
     progress("scoring held-out recordings", 1, 1)
     composer = ContactComposer(said, when, seed)

@@ -14,6 +14,8 @@ from det2stoc_bayes.mismatch.contact.windows import Windows
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 
 NUM_REFINED, NUM_OTHERS = 5, 3  # candidates that are fitted: the best, and the best under other names
+NUM_SETTLED = 3  # of them, whose starts are estimated anew
+FAR = 2.0  # prior sds
 CHANCE = 0.05  # tail probability beyond which a screened effect is not fitted: fitted gains decide
 LEAST_GAIN = 3.0  # nats, likewise
 LEAST_CERTAIN = 3.0  # standard errors of the gain over windows: of those fitted
@@ -107,24 +109,61 @@ def held_out(fit: WindowFit, windows: Windows, own: bool = True) -> WindowFit:
 
 
 def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress) -> Round:
-    """Screen all, fit the few best, and take the best that windows which were not fitted ask for."""
-    done = [0]
+    """Screen all, fit the few best, and take the best that windows which were not fitted ask for.
+
+    What is missing may have led psi far from its prior, where small steps do not lead back: then the middle of the
+    prior is a second ground to start from.
+    """
+    other = recentred(base)
+    grounds = [base] if other is None else [base, other]
+    others, done = [p for p in pool if p not in base.fit.problem.effects], [0]
 
     def advance(n: int) -> None:
         done[0] += n
-        progress("screening effects", done[0], len(pool))
+        progress("screening effects", done[0], len(others) * len(grounds))
 
-    screened = screen(base.fit, [p for p in pool if p not in base.fit.problem.effects], advance)
-    worth = shortlist([s for s in screened if s.tail < CHANCE and s.gain > LEAST_GAIN])
-    refined = []
-    for k, promise in enumerate(worth):
-        progress("refining the best", k, len(worth))
-        refined.append(added(base, promise))
-    if worth:
-        progress("refining the best", len(worth), len(worth))
-    refined.sort(key=lambda p: p.losses.sum())
+    screened = [screen(g.fit, others, advance) for g in grounds]
+    worth = [shortlist([s for s in found if s.tail < CHANCE and s.gain > LEAST_GAIN]) for found in screened]
+    count, found = sum(len(w) for w in worth), []
+    for ground, promises in zip(grounds, worth, strict=True):
+        here = []
+        for promise in promises:
+            progress("refining the best", len(found) + len(here), count)
+            here.append(added(ground, promise))
+        here.sort(key=lambda p: p.losses.sum())
+        found += [resettled(p) for p in here[:NUM_SETTLED]] + here[NUM_SETTLED:]
+    if count:
+        progress("refining the best", count, count)
+    refined = distinct(sorted(found, key=lambda p: p.losses.sum()))
     taken = next((p for p in refined[:3] if earns(base, p)), None)
-    return Round(base, tuple(screened), tuple(refined), taken)
+    return Round(base, tuple(screened[0]), tuple(refined), taken)
+
+
+def recentred(base: Pair) -> Pair | None:
+    """The hypothesis with psi in the middle of its prior, if the fit has led it FAR from there."""
+    problem = base.fit.problem
+    psi = np.arange(problem.size) < problem.num_psi
+    if np.abs(base.fit.z[psi]).max(initial=0.0) < FAR:
+        return None
+    z = np.where(psi, 0.0, base.fit.z)
+    there = [_started(one.windows, problem.carry(z, one.problem)) for one in (base.fit, base.held)]
+    fit = at(there[0], z)
+    return Pair(fit, at(there[1], problem.carry(z, base.held.problem), fit.scales))
+
+
+def distinct(pairs: Sequence[Pair]) -> list[Pair]:
+    """The first of each addition."""
+    first: dict[PlacedEffect, Pair] = {}
+    for pair in pairs:
+        first.setdefault(pair.placed, pair)
+    return list(first.values())
+
+
+def _started(windows: Windows, z: Float[np.ndarray, " size"]) -> Windows:
+    """With starts as these unknowns have them."""
+    finer = windows.problem.finer
+    there = smoothed(windows.fine(), z)
+    return there if finer is None else there.shifted(z, finer.timestep, finer.integrator)
 
 
 def shortlist(worth: Sequence[Promise]) -> list[Promise]:
