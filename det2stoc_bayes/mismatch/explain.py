@@ -134,9 +134,7 @@ def bare_fit(before: Fit, grown: Fit) -> Fit:
     return refit(grown, ()) or before
 
 
-def grow(
-    first: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks
-) -> tuple[Fit, dict[PlacedEffect, Fit]]:
+def grow(first: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks) -> tuple[Fit, dict[PlacedEffect, Fit]]:
     """The best effects one after the other, or two at once; and fits without each of those that stay."""
     slot = first
     while True:

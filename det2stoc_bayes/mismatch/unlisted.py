@@ -30,7 +30,7 @@ PROMISING = 0.5  # of the evidence that listed effects earn: what a curve must p
 
 @dataclass(frozen=True, eq=False)
 class _Curves:
-    """Curves beside a fit: all that were screened, and the best ones fitted."""
+    """Curves beside a fit: those that were fitted, best first, and what screening said of them."""
 
     screened: list[Screened]
     ranked: list[Ranked]
@@ -62,7 +62,8 @@ def _at_once(before: Fit, pool: Sequence[PlacedEffect], looks: Looks) -> Explana
     best = extend(curves.ranked[0].fit)
     if not enough(best, before):
         return None
-    pairs = looks.pairs(before, first.screened, needed + listed, NUM_PAIRS)
+    promised = max(PROMISING * s.log_evidence for s in curves.screened)
+    pairs = looks.pairs(before, first.screened, max(needed + listed, promised), NUM_PAIRS)
     if any(enough(f, before) or gain(f, curves.ranked[0].fit, 1.0) < needed for f in pairs):
         return None
     base = before if best is curves.ranked[0].fit else bare_fit(before, best)
@@ -106,30 +107,33 @@ def _beside(base: Fit, pool: Sequence[PlacedEffect], num_variables: int, least: 
     worth = [s for s in screened if s.log_evidence > least][:NUM_REFINED]
     fits = race(base, [added(base, s.change, [(s, s.coefficients)]) for s in worth])
     if not fits:
-        return _Curves(screened, [])
+        return _Curves([], [])
     share = effective_share(min(fits, key=lambda f: f.chi2))
     first, *rest = sorted(fits, key=lambda f: -gain(base, f, share))
-    first, share = _settled(first), effective_share(first)
+    first, own = _settled(first, next(s for s in worth if s.placed == first.problem.effects[-1]))
+    share = effective_share(first)
     ranked = [Ranked(f.problem.effects[-1], f, gain(base, f, share)) for f in (first, *rest)]
-    return _Curves(screened, sorted(ranked, key=lambda r: -r.gain))
+    told = [own, *(s for s in worth if s.placed in [r.placed for r in ranked[1:]])]
+    return _Curves(told, sorted(ranked, key=lambda r: -r.gain))
 
 
-def _settled(fit: Fit) -> Fit:
+def _settled(fit: Fit, screened: Screened) -> tuple[Fit, Screened]:
     """The curve with the smoothness, size and range that suit its own fit, where that gains."""
     for _ in range(MOST_RESHAPED):
         found = reshaped(fit)
         if found is None:
-            return fit
+            break
         bare, s = found
         better = fit_many([added(bare, s.change, [(s, s.coefficients)])], tolerance=tolerance(fit))[0]
         if better is None:
-            return fit
+            break
         share = effective_share(better)
         step = log_evidence(better, share) - log_evidence(fit, share)
-        fit = better if step > 0 else fit
+        if step > 0:
+            fit, screened = better, s
         if step < ENOUGH:
-            return fit
-    return fit
+            break
+    return fit, screened
 
 
 def _completed(fit: Fit, found: Explanation, pool: Sequence[PlacedEffect], needed: float, looks: Looks) -> Fit:
@@ -157,9 +161,7 @@ def _clearly(fit: Fit, found: Explanation, needed: float) -> bool:
     return untold(fit) + NEGLIGIBLE * untold(found.before) < untold(listed)
 
 
-def _with(
-    fit: Fit, found: Explanation, curves: _Curves, pool: Sequence[PlacedEffect], looks: Looks
-) -> Explanation:
+def _with(fit: Fit, found: Explanation, curves: _Curves, pool: Sequence[PlacedEffect], looks: Looks) -> Explanation:
     """The explanation by a fit that has a curve: every place with what could stand there, other curves among it."""
     first = looks.at(found.before, pool)
     screened = sorted([*first.screened, *curves.screened], key=lambda s: -s.log_evidence)

@@ -75,7 +75,8 @@ def _best(
         return None
     effect = form(reach)
     given = {name: np.array(value) for name, value in effect.given(typical).items()}
-    columns = response.propagate(*response.forced(at.dof, _hats(*effect.parts(given, inside, np), len(effect.modes))))
+    knots, weights = effect.parts(given, inside, np)
+    columns = response.propagate(*response.forced(at.dof, _hats(knots, weights, len(effect.modes))))
     if not np.isfinite(columns).all():
         return None
     units = beside.latent.project(beside.latent.stack(columns))

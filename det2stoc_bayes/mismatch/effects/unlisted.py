@@ -5,7 +5,7 @@ in closed form as far as predictions are linear in it. Between knots it is cubic
 it stays as it ends.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -52,7 +52,7 @@ class UnlistedForce(JointEffect):
         """The variable, or both."""
         raise NotImplementedError
 
-    def parts(self, p, s, xp):
+    def parts(self, p, s, xp) -> tuple[Array, Array]:
         """The knots that the force follows from, and what each of them counts."""
         raise NotImplementedError
 
@@ -81,7 +81,7 @@ class UnlistedForce(JointEffect):
         """Values at these knots."""
         return [values["curve"][..., i] for i in self.told]
 
-    def given(self, typical) -> dict[str, float | tuple[float, ...]]:
+    def given(self, typical) -> dict[str, Any]:
         """Where the knots lie, as parameters."""
         usual = {
             "position": typical.reach,
@@ -90,8 +90,8 @@ class UnlistedForce(JointEffect):
             "control": (-typical.command, typical.command),
         }
         reach = self.reach or tuple(usual[name] for name in self.variables)
-        least, most = zip(*reach, strict=True)
-        return {"least": least, "most": most} if len(least) > 1 else {"least": least[0], "most": most[0]}
+        ends = np.array(reach).T if len(reach) > 1 else np.array(reach[0])
+        return {"least": ends[0], "most": ends[1]}
 
     def root(self, typical) -> Float[np.ndarray, "knots modes"]:
         """B of values B z at the knots for standard normals z."""
