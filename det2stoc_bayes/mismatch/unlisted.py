@@ -56,19 +56,19 @@ def _at_once(before: Fit, pool: Sequence[PlacedEffect], looks: Looks) -> Explana
     if any(enough(f, before) for f in single):
         return None
     listed = max([0.0, *(s.log_evidence for s in first.screened[:1]), *(gain(before, f, 1.0) for f in single)])
-    curves = _beside(before, pool, 1, listed + needed)
-    if not curves.ranked:
-        return None
-    best = extend(curves.ranked[0].fit)
-    if not enough(best, before):
+    for num_variables in (1, 2):
+        curves = _beside(before, pool, num_variables, listed + needed)
+        best = extend(curves.ranked[0].fit) if curves.ranked else None
+        if best is not None and enough(best, before):
+            break
+    else:
         return None
     promised = max(PROMISING * s.log_evidence for s in curves.screened)
     pairs = looks.pairs(before, first.screened, max(needed + listed, promised), NUM_PAIRS)
     if any(enough(f, before) or gain(f, curves.ranked[0].fit, 1.0) < needed for f in pairs):
         return None
     base = before if best is curves.ranked[0].fit else bare_fit(before, best)
-    found = Explanation(base, base, (first,), len(pool), 1.0)
-    return _with(best, found, curves, pool, looks)
+    return _with(best, Explanation(base, base, (first,), len(pool), 1.0), curves, pool, looks)
 
 
 def beyond_list(found: Explanation, pool: Sequence[PlacedEffect], looks: Looks) -> Explanation:
