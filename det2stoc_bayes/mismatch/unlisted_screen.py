@@ -59,7 +59,7 @@ def reshaped(fit: Fit) -> tuple[Fit, Screened] | None:
         stacked=fit.linear.stacked + explained,
         columns=fit.linear.columns[..., :size],
     )
-    bare = summarize(plain, True, False)
+    bare = summarize(plain, True, "unfinished")
     found = _best(response, Beside(bare), own.element, own.typical, type(effect))
     return None if found is None else (bare, found)
 

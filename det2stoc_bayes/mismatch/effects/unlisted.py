@@ -89,9 +89,12 @@ class UnlistedForce(JointEffect):
             "time": (0.0, typical.duration),
             "control": (-typical.command, typical.command),
         }
-        reach = self.reach or tuple(usual[name] for name in self.variables)
-        ends = np.array(reach).T if len(reach) > 1 else np.array(reach[0])
-        return {"least": ends[0], "most": ends[1]}
+        ends = np.array(self.reach or [usual[name] for name in self.variables]).T
+        return (
+            {"least": ends[0], "most": ends[1]}
+            if len(self.variables) > 1
+            else {"least": ends[0, 0], "most": ends[1, 0]}
+        )
 
     def root(self, typical) -> Float[np.ndarray, "knots modes"]:
         """B of values B z at the knots for standard normals z."""
