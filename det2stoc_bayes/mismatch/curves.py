@@ -35,7 +35,7 @@ def described(
     mean, sd = values["curve"].mean(0), values["curve"].std(0)
     x = knots[0].tolist() if len(knots) == 1 else [[a, b] for a in knots[0].tolist() for b in knots[1].tolist()]
     curve = finding.Curve.model_validate(
-        {"x": x, "y": mean, "sd": sd, "unit": effect.parameters[0].unit_on(placed.element)}
+        {"x": x, "y": mean, "y_sd": sd, "unit": effect.parameters[0].unit_on(placed.element)}
     )
     left = isinstance(fit, Fit) and fit.noise_inflation >= MODEL_ERROR
     return {
@@ -112,7 +112,7 @@ def sentence(placed: PlacedEffect, said: Mapping[str, Any], equally: str) -> str
         "exchanges": "both gives and takes energy",
     }[said["energy"]]
     memory = "it has no memory" if said["memory"] == "none" else "what it leaves may be memory"
-    low, high, sd = min(curve.y), max(curve.y), float(np.median(curve.sd))
+    low, high, sd = min(curve.y), max(curve.y), float(np.median(curve.y_sd))
     size = f"{low:.3g} to {high:.3g} {curve.unit} (sd {sd:.2g})"
     return (
         f"A force on no list{equally} on {at.label} that depends on {' and '.join(on[v] for v in said['variables'])} "

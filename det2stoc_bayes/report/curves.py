@@ -16,7 +16,7 @@ def curve_figure(parameters: Mapping[str, Any]) -> Spec:
     """Force over its variable; of two variables over the first one, at a few values of the second."""
     curve, names = parameters["curve"], parameters.get("columns") or parameters["variables"]
     x, y = np.array(curve["x"], float), np.array(curve["y"], float)
-    sd = np.array(curve.get("sd") or np.zeros(len(y)), float)
+    sd = np.array(curve.get("y_sd") or np.zeros(len(y)), float)
     traces = []
     if x.ndim == 1:
         outline = np.concatenate([y + 2 * sd, (y - 2 * sd)[::-1]])
