@@ -90,11 +90,8 @@ class UnlistedForce(JointEffect):
             "control": (-typical.command, typical.command),
         }
         ends = np.array(self.reach or [usual[name] for name in self.variables]).T
-        return (
-            {"least": ends[0], "most": ends[1]}
-            if len(self.variables) > 1
-            else {"least": ends[0, 0], "most": ends[1, 0]}
-        )
+        least, most = ends if len(self.variables) > 1 else ends[:, 0]
+        return {"least": least, "most": most}
 
     def root(self, typical) -> Float[np.ndarray, "knots modes"]:
         """B of values B z at the knots for standard normals z."""
