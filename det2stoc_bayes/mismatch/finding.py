@@ -108,7 +108,7 @@ class Quantity(Entry):
 
 
 class Curve(Entry):
-    """A function that was found: its values y, with their sds, where its variable is x; of two variables x are pairs."""
+    """A function that was found: values y and their sds where its variable is x; of two variables x are pairs."""
 
     x: tuple[Numbers, ...]
     y: tuple[Number, ...]
