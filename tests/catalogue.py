@@ -3,12 +3,15 @@
 from dataclasses import replace
 
 import mujoco
+import numpy as np
 from conftest import state_columns
 
 from det2stoc_bayes.engines import elements
 from det2stoc_bayes.mismatch.effects import CATALOGUE, Effect, PlacedEffect, Typical
 
 AIR = '<option timestep="0.002" integrator="{}" gravity="0 0 -9.81" density="40" wind="1.5 0.4 -0.7"/>'
+CURVE = (0.4 * np.sin(0.4 * np.arange(65)) + 0.2).tolist()
+SURFACE = (0.4 * np.sin(0.6 * np.arange(24))[:, None] * np.cos(0.7 * np.arange(8)) + 0.2).ravel().tolist()
 VALUES: dict[str, dict] = {
     "ViscousDamping": {"coefficient": 0.3},
     "CoulombFriction": {"force": 0.2},
@@ -56,6 +59,13 @@ VALUES: dict[str, dict] = {
     "SensorDelay": {"delay": 0.0253},
     "SensorDrift": {"rate": 0.3},
     "ClockSkew": {"ratio": 1.03},
+    "OverPosition": {"curve": CURVE, "least": -1.2, "most": 0.9},
+    "OverVelocity": {"curve": CURVE, "least": -3.0, "most": 2.0},
+    "OverTime": {"curve": CURVE, "least": 0.0, "most": 0.5},
+    "OverCommand": {"curve": CURVE, "least": -0.6, "most": 1.2},
+    "OverPositionAndVelocity": {"curve": SURFACE, "least": [-1.2, -3.0], "most": [0.9, 2.0]},
+    "OverTimeAndVelocity": {"curve": SURFACE, "least": [0.0, -3.0], "most": [0.5, 2.0]},
+    "OverTimeAndPosition": {"curve": SURFACE, "least": [0.0, -1.2], "most": [0.5, 0.9]},
 }
 APART = ("simulator", "contact")  # what no arm has
 FORMS: dict[str, Effect] = {type(f).__name__: f for e in CATALOGUE.values() for f in e.forms() if e.kind not in APART}

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from det2stoc_bayes.blind.equivalents import accepted, entry
-from det2stoc_bayes.blind.laws import INTEGRATION, LAWS
+from det2stoc_bayes.blind.equivalents import accepted, entry, on_a_list
+from det2stoc_bayes.blind.laws import INTEGRATION, LAWS, NAMES
 from det2stoc_bayes.blind.probe import Probe, draw_probe
 from det2stoc_bayes.blind.recordings import record
 from det2stoc_bayes.blind.short_sizing import find_short
@@ -71,7 +71,7 @@ def make_case(
     `pair` conceals two effects, `second` names the other one. Raises ValueError for a name that is not known,
     and where no draw gives an effect of 3 to 30 noise sds that psi, and the other effect, cannot absorb.
     """
-    for given, known in ((system, SYSTEMS), (effect, LAWS), (second, LAWS)):
+    for given, known in ((system, SYSTEMS), (effect, NAMES), (second, NAMES)):
         if given is not None and given not in known:
             raise ValueError(f"{given!r} is not known; there are {', '.join(known)}")
     if INTEGRATION in (effect, second) and (pair or second):
@@ -117,7 +117,7 @@ def _draw(rng: np.random.Generator, probe: Probe, wanted: list[str | None], size
                 one = find_short(rng, probe, pick)
             else:
                 one = find(rng, probe, pick, size or draw_size(rng), fixed=size is not None)
-            if one is None:
+            if one is None or (LAWS[pick[0]].variables and on_a_list(rng, probe, one.effect, one.size)):
                 break
             found.append(one)
         if len(found) == len(wanted) and (len(found) < 2 or both_kept(probe, *found)):
@@ -166,8 +166,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--system", choices=list(SYSTEMS))
-    parser.add_argument("--effect", choices=list(LAWS))
-    parser.add_argument("--effect2", choices=list(LAWS), help="a second effect at once")
+    parser.add_argument("--effect", choices=NAMES)
+    parser.add_argument("--effect2", choices=NAMES, help="a second effect at once")
     parser.add_argument("--pair", action="store_true", help="two effects at once")
     parser.add_argument("--size", type=float, help="in noise sds that psi cannot absorb")
     parser.add_argument("--control", action="store_true", help="conceal nothing")

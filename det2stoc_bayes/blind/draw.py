@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from det2stoc_bayes.blind.conceal import ConcealedCase, make_case
+from det2stoc_bayes.blind.laws import UNLISTED
 from det2stoc_bayes.blind.systems import SMOOTH, SYSTEMS
 from det2stoc_bayes.blind.variants import VARIANTS, possible
 
@@ -44,6 +45,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "contact_control": Kind(
             5, MappingProxyType({"control": True}), systems=TOUCHING, variants=("positions_only", "varying_psi")
         ),
+        "unlisted": Kind(6, MappingProxyType({"effect": UNLISTED})),
     }
 )
 MIXTURE = MappingProxyType({"effect": 30, "pair": 6, "contact": 9, "control": 12, "contact_control": 3})  # of 60

@@ -9,13 +9,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from det2stoc_bayes.blind.laws import LAWS, Effect, Scene
+from det2stoc_bayes.blind.laws import LAWS, UNLISTED, Effect, Scene
 from det2stoc_bayes.blind.laws.base import motors_of
 from det2stoc_bayes.blind.probe import Probe
 from det2stoc_bayes.blind.refit import linear_share, refit
 
 Accepted = dict[str, Any]
 NATS = 1.0  # of log likelihood over the whole study: what less than this tells apart is the same
+OWN = 1.0  # noise sds of an unlisted effect that no listed law may take up
 WORTH_A_REFIT = 0.8  # share of the RMS that may remain to first order
 IMITATORS = (
     # steady pushes and where things hang
@@ -46,7 +47,9 @@ IMITATORS = (
 def entry(effect: Effect) -> Accepted:
     """An effect as diagnosis.json writes one."""
     element = {"kind": effect.kind, "name": effect.element}
-    return {"name": effect.name, "element": element, "parameters": effect.parameters}
+    variables = list(LAWS[effect.name].variables)
+    name = {"name": UNLISTED, "law": effect.name, "variables": variables} if variables else {"name": effect.name}
+    return {**name, "element": element, "parameters": effect.parameters}
 
 
 def accepted(rng: np.random.Generator, probe: Probe, effect: Effect, samples: int) -> list[Accepted]:
@@ -67,6 +70,20 @@ def accepted(rng: np.random.Generator, probe: Probe, effect: Effect, samples: in
             if fitted.left < same_below:
                 result.append(entry(fitted.rivals[0]))
     return result
+
+
+def on_a_list(rng: np.random.Generator, probe: Probe, effect: Effect, size: float) -> bool:
+    """Whether a listed law of its joint or motors leaves, to first order, too little of an effect of this size."""
+    near = _near(probe.scene, effect) or set()
+    rivals = [
+        _small(rng, probe.scene, name, element)
+        for name, law in LAWS.items()
+        if law.kind in ("joint", "actuator") and not law.variables
+        for element in sorted(near.intersection(probe.scene.names(law.kind)))
+        if law.fits(probe.scene, element)
+    ]
+    first = probe.first()
+    return size * min(linear_share(first, first.with_effects(effect), rivals), default=1.0) < OWN
 
 
 def _small(rng: np.random.Generator, scene: Scene, name: str, element: str) -> Effect:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from det2stoc_bayes.blind.laws import INTEGRATION, LAWS, Effect
+from det2stoc_bayes.blind.laws import INTEGRATION, LAWS, UNLISTED, Effect
 from det2stoc_bayes.blind.probe import Probe
 from det2stoc_bayes.blind.reality import simulate_believed
 from det2stoc_bayes.blind.refit import absorbable, beside, refit
@@ -31,7 +31,7 @@ class Found:
 
 def combinations(probe: Probe, effect: str | None = None) -> list[tuple[str, str]]:
     """(effect, element) pairs that this system may conceal."""
-    scene, names = probe.scene, (LAWS if effect is None else (effect,))
+    scene, names = probe.scene, _named(effect)
     touching = probe.system.touching  # there sensors and the integration are left alone
     laws = {n: LAWS[n] for n in names if not touching or LAWS[n].kind in ("contact", "world", "body")}
     return [
@@ -40,6 +40,13 @@ def combinations(probe: Probe, effect: str | None = None) -> list[tuple[str, str
         for e in scene.names(law.kind)
         if law.fits(scene, e) and law.definite(scene, e)
     ]
+
+
+def _named(effect: str | None) -> list[str]:
+    """The laws that a name stands for; None: all that are on a list."""
+    if effect in (None, UNLISTED):
+        return [name for name, law in LAWS.items() if bool(law.variables) == (effect == UNLISTED)]
+    return [effect]
 
 
 def draw_size(rng: np.random.Generator) -> float:

@@ -1,4 +1,4 @@
-"""Every effect of the catalogue on every element of a model that it can sit on."""
+"""Every listed effect of the catalogue on every element of a model that it can sit on."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ def candidates(problem: Problem, touching: Sequence[Element] = ()) -> list[Place
     return [
         PlacedEffect([form for form in effect.forms() if form.fits(element)][-1], place, magnitudes.of(element))
         for effect in CATALOGUE.values()
-        if effect.kind != "simulator"
+        if effect.kind != "simulator" and effect.listed
         for others in [_elements(problem, effect.kind, touching)]
         for element in others
         if effect.fits(element)

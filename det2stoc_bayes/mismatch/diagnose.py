@@ -15,11 +15,12 @@ from det2stoc_bayes.mismatch.compose import Composer
 from det2stoc_bayes.mismatch.conflict import needless, resolved
 from det2stoc_bayes.mismatch.contact.run import diagnosed, touches
 from det2stoc_bayes.mismatch.credence import weigh
-from det2stoc_bayes.mismatch.explain import Explanation, explain
+from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
 from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
+from det2stoc_bayes.mismatch.unlisted import explain_by_all
 from det2stoc_bayes.mismatch.where import conditions
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.posterior import to_bytes
@@ -115,7 +116,7 @@ def _explained(before: Fit, progress: Progress) -> tuple[Numerics | None, Explan
     """What is missing beside a fit of the believed model, at a timestep that converges."""
     pool = candidates(before.problem)
     numerics = check_numerics(before, float(before.problem.simulator.model.opt.timestep), len(pool))
-    return numerics, explain(before if numerics is None else numerics.fit, pool, progress)
+    return numerics, explain_by_all(before if numerics is None else numerics.fit, pool, progress)
 
 
 def _believed(corrected: Fit, believed: Fit) -> Fit:

@@ -46,14 +46,16 @@ class Explanation:
     others_chose: bool = False  # recordings that were not fitted decided between additions
 
 
-def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None) -> Explanation:
+def explain(
+    before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None, looks: Looks | None = None
+) -> Explanation:
     """Effects are added while the best still earns its evidence, then each is judged with the others in place.
 
     Where the misfit stays beyond the noise, effects that do not help held-out recordings make room for others.
     """
-    looks, count = Looks(progress), len(pool)
+    looks, count = looks or Looks(progress), len(pool)
     first = looks.at(before, pool)
-    grown, lean = _grow(first, pool, threshold(count), looks)
+    grown, lean = grow(first, pool, threshold(count), looks)
     for _ in range(MAX_ROUNDS - 1):
         kept, lean, useless = _without_useless(before, grown, lean)
         if not useless:
@@ -61,7 +63,7 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
         looks.others_chose = True
         pool = [c for c in pool if c not in useless]
         first = looks.at(before, pool)
-        grown, again = _grow(first, pool, threshold(count), looks)
+        grown, again = grow(first, pool, threshold(count), looks)
         if others_exist(kept) and untold(kept) <= untold(grown):
             grown = kept
             break
@@ -71,23 +73,23 @@ def explain(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lamb
     if len(grown.problem.effects) == 1 and not by_chance(grown):
         own = Ranked(grown.problem.effects[0], grown, 0.0)
         grown = truer_pair(first, own, threshold(count)) or grown
-    bare = _bare(before, grown)
+    bare = bare_fit(before, grown)
     if len(grown.problem.effects) == 1 and bare is before:
         own = next((r for r in first.ranked if r.placed == grown.problem.effects[0]), None)
         if own is not None:  # a later effect, left alone once the first was dropped, may not be there
             slot = _with_rivals(first, own)
             after = slot.ranked[0].fit if _ahead(slot.ranked[0], _present(slot, own.placed)) else grown
             return Explanation(
-                before, after, (slot,), count, effective_share(after), looks.others_chose or _misses(after)
+                before, after, (slot,), count, effective_share(after), looks.others_chose or misses(after)
             )
     if len(grown.problem.effects) == 1:
         own = grown.problem.effects[0]
         pool, lean = _promising(first, own) or pool, {own: bare}
-    grown, slots = _judged(grown, lean, pool, looks)
-    return Explanation(bare, grown, slots, count, effective_share(grown), looks.others_chose or _misses(grown))
+    grown, slots = judged(grown, lean, pool, looks)
+    return Explanation(bare, grown, slots, count, effective_share(grown), looks.others_chose or misses(grown))
 
 
-def _misses(fit: Fit) -> bool:
+def misses(fit: Fit) -> bool:
     """Whether a misfit beyond the noise stays, so that recordings that were not fitted judge."""
     return fit.noise_inflation >= MODEL_ERROR and others_exist(fit)
 
@@ -99,7 +101,7 @@ def _promising(slot: Slot, own: PlacedEffect) -> list[PlacedEffect]:
     return found if own in found else []
 
 
-def _judged(
+def judged(
     grown: Fit, lean: dict[PlacedEffect, Fit], pool: Sequence[PlacedEffect], looks: Looks
 ) -> tuple[Fit, tuple[Slot, ...]]:
     """Every place of the list with what could stand there; what clearly has more evidence takes the place."""
@@ -125,16 +127,14 @@ def _ahead(rival: Ranked, present: Ranked) -> bool:
     return bool(rival.gain > present.gain + CLEARLY)
 
 
-def _bare(before: Fit, grown: Fit) -> Fit:
+def bare_fit(before: Fit, grown: Fit) -> Fit:
     """The believed model on the segments of the explanation; as it was where it cannot follow them."""
     if grown.problem.segments.extent == before.problem.segments.extent:
         return before
     return refit(grown, ()) or before
 
 
-def _grow(
-    first: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks
-) -> tuple[Fit, dict[PlacedEffect, Fit]]:
+def grow(first: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks) -> tuple[Fit, dict[PlacedEffect, Fit]]:
     """The best effects one after the other, or two at once; and fits without each of those that stay."""
     slot = first
     while True:
@@ -142,7 +142,7 @@ def _grow(
         if better is None:
             return _prune(slot.base, needed)
         better = extend(better)
-        if len(better.problem.effects) >= MAX_EFFECTS or _enough(better, first.base):
+        if len(better.problem.effects) >= MAX_EFFECTS or enough(better, first.base):
             return _prune(better, needed)
         slot = looks.at(better, pool)
 
@@ -165,7 +165,7 @@ def _best_of(slot: Slot, needed: float, believed: Fit, looks: Looks, num_pairs: 
     base, single = slot.base, {r.placed: r.fit for r in slot.ranked}
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
     least = needed + max([0.0, *(s.log_evidence for s in slot.screened[:1])])
-    room = len(base.problem.effects) + 2 <= MAX_EFFECTS and not (alone and _enough(alone[0], believed))
+    room = len(base.problem.effects) + 2 <= MAX_EFFECTS and not (alone and enough(alone[0], believed))
     both = looks.pairs(base, slot.screened, least, num_pairs) if room else []
     contenders = [*both, *alone[:NUM_CROSSED]]
     if not contenders:
@@ -183,7 +183,7 @@ def _best_of(slot: Slot, needed: float, believed: Fit, looks: Looks, num_pairs: 
     return contenders[best - 1] if best else None
 
 
-def _enough(fit: Fit, believed: Fit) -> bool:
+def enough(fit: Fit, believed: Fit) -> bool:
     """Whether what is left is chance, or within the noise and negligible beside the believed model's misfit.
 
     Over parts of recordings nothing is negligible: their starts absorb most of what is missing.
@@ -201,9 +201,9 @@ def _without_useless(
     None where the misfit is within the noise.
     """
     useless: set[PlacedEffect] = set()
-    if not grown.problem.effects or not _misses(grown):
+    if not grown.problem.effects or not misses(grown):
         return grown, lean, useless
-    bare = _bare(before, grown)
+    bare = bare_fit(before, grown)
     believed = untold(bare)
     while effects := grown.problem.effects:
         one, whole = len(effects) == 1, untold(grown)
@@ -265,7 +265,7 @@ def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
     While a misfit remains, what has about as much evidence or more must tell other recordings about as well.
     """
     rest = [r for r in ranked if r.placed != own.placed]
-    if _misses(own.fit):
+    if misses(own.fit):
         score = (1 + NEGLIGIBLE) * untold(own.fit)
         rest = [r for r in rest if r.gain < own.gain - AHEAD or untold(r.fit) < score]
     return tuple(sorted([own, *rest], key=lambda r: -r.gain))
@@ -278,7 +278,7 @@ def _prune(fit: Fit, needed: float) -> tuple[Fit, dict[PlacedEffect, Fit]]:
     """
     lean: dict[PlacedEffect, Fit] = {}
     effects = fit.problem.effects
-    if len(effects) < 2 or _misses(fit):
+    if len(effects) < 2 or misses(fit):
         return fit, lean
     for placed in effects:
         rest = without(fit, fit.problem.effects.index(placed))

@@ -108,10 +108,12 @@ class Quantity(Entry):
 
 
 class Curve(Entry):
-    """A function that was found: its values over one variable."""
+    """A function that was found: values y and their sds where its variable is x; of two variables x are pairs."""
 
-    x: tuple[Number, ...]
+    x: tuple[Numbers, ...]
     y: tuple[Number, ...]
+    y_sd: tuple[Number, ...] = ()
+    unit: str = ""
 
 
 Parameter = Quantity | Curve | str | tuple[str, ...]

@@ -28,6 +28,10 @@ class Looks:
         self._slots[_key(base)] = frozenset(pool), slot
         return slot
 
+    def know(self, slot: Slot, pool: Sequence[PlacedEffect]) -> None:
+        """Takes over what was seen before of a pool beside the slot's fit."""
+        self._slots[_key(slot.base)] = frozenset(pool), slot
+
     def pairs(self, base: Fit, screened: Sequence[Screened], least: float, most: int) -> list[Fit]:
         """Fits with two additions at once, best first, of at most `most`; those that lost before do not run again."""
         return refine_pairs(base, screened, least, self._pairs.setdefault(_key(base), {}), most)

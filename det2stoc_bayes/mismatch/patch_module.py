@@ -17,6 +17,7 @@ from det2stoc_bayes.mismatch import patch_runtime as runtime
 from det2stoc_bayes.mismatch.effects.base import Effect, PlacedEffect
 
 Values = Mapping[str, float | int | str | Sequence[float] | np.ndarray]  # of an effect's parameters
+MOST_SHOWN = 6  # numbers of a vector that are written out for a reader
 CLOCK = "opt.timestep"  # an effect that changes it makes the recorded clock another than the simulation's
 # Hook of an effect -> its table in effects.py, and the functions of the runtime that serve it.
 _COLUMNS = ("measure", "at_time", "arrays", "place_of")
@@ -235,6 +236,9 @@ def parameter_texts(placed: PlacedEffect, values: Values) -> list[str]:
     for p in placed.effect.parameters:
         numbers = [f"{float(v):.4g}" for v in np.ravel(np.asarray(values[p.name]))]
         text = numbers[0] if np.ndim(values[p.name]) == 0 else f"({', '.join(numbers)})"
+        if len(numbers) > MOST_SHOWN:
+            low, high = np.min(np.asarray(values[p.name], float)), np.max(np.asarray(values[p.name], float))
+            text = f"{len(numbers)} values from {low:.4g} to {high:.4g}"
         out.append(f"{p.name} = {text} {p.unit_on(placed.element)}")
     return out
 

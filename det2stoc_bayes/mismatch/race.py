@@ -81,7 +81,7 @@ def _refined(base: Fit, screened: Sequence[Screened], known: Sequence[Ranked], c
     fits = {r.placed: r.fit for r in known if r.placed in {s.placed for s in worth}}
     new = [s for s in worth if s.placed not in fits]
     progress("refining the best", 0, len(new))
-    found = race(base, [_added(base, t.change, [(t, t.coefficients)]) for s in new for t in _starts(s)])
+    found = race(base, [added(base, t.change, [(t, t.coefficients)]) for s in new for t in _starts(s)])
     progress("refining the best", len(new), len(new))
     fits |= {f.problem.effects[-1]: f for f in found}
     share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
@@ -118,7 +118,7 @@ def refine_pairs(
     """
     worth = varied([p for p in pairs(base, screened) if p.log_evidence > least], most)
     new = [p for p in worth if p.key not in known]
-    points = [_added(base, p.change, list(zip(p.members, p.coefficients, strict=True))) for p in new]
+    points = [added(base, p.change, list(zip(p.members, p.coefficients, strict=True))) for p in new]
     found = {frozenset(f.problem.effects[-2:]): f for f in race(base, points, most=most // 2)}
     known |= {p.key: found.get(p.key) for p in new}
     fits = [f for f in (known[p.key] for p in worth) if f is not None]
@@ -126,7 +126,7 @@ def refine_pairs(
     return sorted(fits, key=lambda f: -gain(base, f, share))
 
 
-def _added(
+def added(
     base: Fit, change: Float[np.ndarray, " size"], added: Sequence[tuple[Screened, Float[np.ndarray, "_"]]]
 ) -> tuple[Problem, Point]:
     """The hypothesis with screened additions, where screening puts it."""

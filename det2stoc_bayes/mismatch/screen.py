@@ -44,7 +44,7 @@ def screen(
     With the fit's own columns beside a trial's, an effect that psi can absorb earns nothing.
     """
     trials: dict[PlacedEffect, list[Screened]] = {}
-    beside = _Beside(fit)
+    beside = Beside(fit)
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
     for placed, trial, columns in changes(fit, new, advance):
@@ -73,7 +73,7 @@ def _forget(trials: dict[PlacedEffect, list[Screened]]) -> None:
         trials[placed] = [replace(trials[placed][0], response=None)]
 
 
-class _Beside:
+class Beside:
     """A fit's normal equations, to which trials are added."""
 
     def __init__(self, fit: Fit):

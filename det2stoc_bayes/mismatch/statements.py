@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.mismatch import finding
 from det2stoc_bayes.mismatch.classes import Class
+from det2stoc_bayes.mismatch.curves import described, sentence
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import widened
 from det2stoc_bayes.optimize import Fit
@@ -39,11 +40,13 @@ def quantity(values: Float[np.ndarray, "draws *components"], unit: str, *, circu
 
 def parameters(
     fit: HasProblem, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]
-) -> dict[str, finding.Quantity | str]:
+) -> dict[str, finding.Parameter]:
     """An effect's parameters from draws of a fit's unknowns; a coupling's source by its name."""
     slot = list(fit.problem.effects).index(placed)
     values = fit.problem.effect_values(z)[slot]
-    source: dict[str, finding.Quantity | str] = {"source": placed.element.source} if placed.element.source else {}
+    if not placed.effect.listed:
+        return described(fit, placed, values)
+    source: dict[str, finding.Parameter] = {"source": placed.element.source} if placed.element.source else {}
     return source | {
         p.name: quantity(values[p.name], p.unit_on(placed.element), circular=p.name == "phase")
         for p in placed.effect.parameters
@@ -66,14 +69,16 @@ def _rounded(mean, sd) -> str:
     return f"{mean:z.{digits}f} +- {sd:.{digits}f}"
 
 
-def statement(placed: PlacedEffect, values: Mapping[str, finding.Quantity | str], equivalent: tuple[str, ...]) -> str:
+def statement(placed: PlacedEffect, values: Mapping[str, finding.Parameter], equivalent: tuple[str, ...]) -> str:
     """What is missing, where and how much, in a sentence."""
     effect = placed.effect
-    said = {name: q if isinstance(q, str) else rounded(q) for name, q in values.items()}
+    equally = f" (or equally {', '.join(equivalent)})" if equivalent else ""
+    if not effect.listed:
+        return sentence(placed, values, equally)
+    said = {name: rounded(q) if isinstance(q, finding.Quantity) else str(q) for name, q in values.items()}
     sizes = ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in said.items())
     if len(values) == 1:
         sizes = next(iter(said.values()))
-    equally = f" (or equally {', '.join(equivalent)})" if equivalent else ""
     word = effect.noun or effect.name.replace("_", " ").capitalize()
     verb = "is missing" if effect.kind not in ("sensor", "actuator") else "was left out"
     return f"{word}{equally} of {sizes} on {placed.element.label} {verb}."
@@ -95,6 +100,11 @@ def element(placed: PlacedEffect) -> finding.Element:
     return finding.Element(kind=placed.element.kind, name=placed.element.name)
 
 
+def variables(placed: PlacedEffect) -> dict[str, tuple[str, ...]]:
+    """What an effect on no list depends on, as an extra key."""
+    return {} if placed.effect.listed else {"variables": placed.effect.variables}  # type: ignore[attr-defined]
+
+
 def alternatives(rest: Sequence[Class], limit: int = 5) -> list[finding.Alternative]:
     """The other classes by their simplest member."""
     return [
@@ -102,6 +112,7 @@ def alternatives(rest: Sequence[Class], limit: int = 5) -> list[finding.Alternat
             name=c.members[0].placed.effect.name,
             element=element(c.members[0].placed),
             probability=c.probability,
+            **variables(c.members[0].placed),
         )
         for c in rest[:limit]
     ]

@@ -1,14 +1,16 @@
 """The page of a diagnosis: what was left out, where, how sure that is, and how much better the model got."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from det2stoc_bayes.report import belief_lines, contents, figures, marginals, numbers, page, series, varying
+from det2stoc_bayes.report import belief_lines, contents, curves, figures, marginals, numbers, page, series, varying
 
 WRITTEN = ("patched.xml", "effects.py", "fit.nc", "diagnosis.json")
+KNOT = re.compile(r"\]\.curve\.\d+$")
 NAMES = {
     "mismatch": {"before": "before", "after": "after"},
     "inconclusive": {"before": "before", "after": "best candidate"},
@@ -143,7 +145,8 @@ def _posterior(finding: Mapping[str, Any], fit: xr.DataTree, names: dict[str, st
         conflict = finding["psi"].get(one.variable, {}).get("prior_conflict")
         conflict = conflict if isinstance(conflict, float | int) else min(filter(None, conflict or []), default=None)
         rows.append(_marginal(one, names) | {"conflict": numbers.number(conflict, 2), "odd": (conflict or 1) < 0.05})
-    return {"psi": rows, "effect_parameters": [_marginal(one, names) for one in effects], "varying": spread}
+    single = [one for one in effects if not KNOT.search(one.variable)]  # a curve has a figure of its own
+    return {"psi": rows, "effect_parameters": [_marginal(one, names) for one in single], "varying": spread}
 
 
 def _marginal(one: marginals.Marginal, names: dict[str, str]) -> dict[str, Any]:
@@ -169,6 +172,7 @@ def _effect(effect: Mapping[str, Any]) -> dict[str, Any]:
         "explains": numbers.percent(effect["explains"]),
         "recordings": "all recordings" if recordings == "all" else ", ".join(recordings),
         "parameters": contents.parameter_rows(effect["parameters"]),
+        "curve": page.embedded(curves.curve_figure(effect["parameters"])) if "curve" in effect["parameters"] else "",
         "by_recording": [
             {"recording": part["recording"], "kind": part["kind"], "explains": numbers.percent(part["explains"])}
             for part in effect.get("by_recording") or []

@@ -124,6 +124,7 @@ def test_same_motion_with_every_effect_and_derived_constant(compiled):
     for k, (placed, values) in enumerate(effects, len(DERIVED)):
         alone.append(EffectRows(placed, slice(k, k + 1), {n: np.array([v]) for n, v in values.items()}))
         absent = {p.name: p.absent if p.size == 1 else [p.absent] * p.size for p in placed.effect.parameters}
+        absent |= {p.name: values[p.name] for p in placed.effect.parameters if p.given}
         absent |= {n: values[n] for n in ("velocity", "cycles", "frequency") if n in values and np.ndim(values[n]) == 0}
         present = [values if row == k else absent for row in range(rows)]
         together.append(EffectRows(placed, slice(0, rows), {n: np.array([v[n] for v in present]) for n in values}))

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from catalogue import AIR, FORMS, VALUES, place_form
 from conftest import ARM, MOTORS, blank_recording, make_study, model_xml, state_columns
+from scipy.interpolate import CubicHermiteSpline
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.engines.mujoco_c import MujocoC
@@ -196,6 +197,27 @@ def gust(m, d):
     m.opt.wind[:] = np.array([1.5, 0.4, -0.7]) * (1 + 0.8 * np.sin(2 * np.pi * 1.5 * d.time + 0.7))
 
 
+def catmull_rom(values, least, most):
+    """A cubic Hermite spline whose slopes are central differences; it stays as it ends."""
+    x, padded = np.linspace(least, most, len(values)), np.pad(np.array(values), 1, mode="edge")
+    curve = CubicHermiteSpline(x, values, (padded[2:] - padded[:-2]) / (2 * (x[1] - x[0])))
+    return lambda at: curve(np.clip(at, least, most))
+
+
+def spline(p):
+    return catmull_rom(p["curve"], p["least"], p["most"])
+
+
+def surface(p, first, second):
+    rows = np.reshape(p["curve"], (24, 8))
+    along = [catmull_rom(row, p["least"][1], p["most"][1])(second) for row in rows]
+    return catmull_rom(along, p["least"][0], p["most"][0])(first)
+
+
+def commanded(m, d):
+    d.qfrc_applied[ELBOW] = spline(VALUES["OverCommand"])(d.ctrl[SERVO])
+
+
 def column(law):
     """The elbow's speed as it is recorded."""
 
@@ -273,6 +295,13 @@ LAWS = {
     "ActuatorSaturation": last(lambda u, t: min(max(u, -0.35), 0.35)),
     "ActuatorGainDrift": last(lambda u, t: u * np.exp(-0.6 * t)),
     "TorqueSpeedLimit": rewrite(limited),
+    "OverPosition": force(lambda q, v, t: spline(VALUES["OverPosition"])(q)),
+    "OverVelocity": force(lambda q, v, t: spline(VALUES["OverVelocity"])(v)),
+    "OverTime": force(lambda q, v, t: spline(VALUES["OverTime"])(t)),
+    "OverCommand": rewrite(commanded),
+    "OverPositionAndVelocity": force(lambda q, v, t: surface(VALUES["OverPositionAndVelocity"], q, v)),
+    "OverTimeAndVelocity": force(lambda q, v, t: surface(VALUES["OverTimeAndVelocity"], t, v)),
+    "OverTimeAndPosition": force(lambda q, v, t: surface(VALUES["OverTimeAndPosition"], t, q)),
     "SensorBias": column(lambda y, t: y + 0.1),
     "SensorScale": column(lambda y, t: 1.1 * y),
     "SensorDelay": column(lambda y, t: y),
@@ -332,7 +361,7 @@ def test_a_fast_clock_stretches_the_recording(tmp_path):
 @pytest.mark.parametrize("form", FORMS)
 def test_an_absent_effect_changes_nothing(tmp_path, form):
     own = dict(VALUES[form])
-    for p in FORMS[form].parameters:
+    for p in FORMS[form].unknown:
         if p.name not in ("cycles", "frequency", "phase", "rest") and (
             p.unit != ("m/s", "rad/s") or np.isinf(p.absent)
         ):

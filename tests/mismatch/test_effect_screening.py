@@ -61,6 +61,7 @@ def test_refinement_starts_where_the_trial_points(fitted, form):
 # Largest relative errors where they are not small (measured). Joint forces are means over intervals in which the servo
 # settles (0.12, 0.02), ripples (0.05, 0.03, 0.03); a payload moves far (0.04); a limit has its full size (0.3).
 # Friction's narrow peak is passed within an interval (0.03), torque changes within one (0.01), lift is slight (0.05).
+# So are a curve's narrow modes (0.01 to 0.03).
 LOOSE = {
     "QuadraticDamping": 0.2,
     "JointSpring": 0.04,
@@ -78,6 +79,12 @@ LOOSE = {
     "StribeckFriction": 0.06,
     "LoadDependentFriction": 0.02,
     "MagnusLift": 0.1,
+    "OverPosition": 0.05,
+    "OverVelocity": 0.05,
+    "OverTime": 0.05,
+    "OverPositionAndVelocity": 0.05,
+    "OverTimeAndVelocity": 0.05,
+    "OverTimeAndPosition": 0.05,
 }
 
 
@@ -105,4 +112,4 @@ def test_columns_are_changes_of_whole_simulations(fitted, form):
 
 def test_each_effect_is_a_candidate_where_it_can_be(fitted):
     found = {p.effect.name for p in candidates(fitted.problem)}
-    assert found == {e.name for f, e in FORMS.items()}
+    assert found == {e.name for e in FORMS.values() if e.listed}

@@ -185,8 +185,8 @@ def test_over_parts_of_recordings_nothing_is_negligible(drag):
     """A misfit a twentieth of the believed model's ends the search over whole recordings alone."""
     left = replace(drag, chi2=1.4 * drag.linear.degrees_of_freedom)
     believed = replace(drag, chi2=30 * drag.linear.degrees_of_freedom)
-    assert not by_chance(left) and module._enough(left, believed)
+    assert not by_chance(left) and module.enough(left, believed)
     segments = drag.problem.segments
     parts = replace(segments, recordings=segments.recordings[:1])  # as if each were cut in three
     cut_up = replace(left.linear, problem=replace(drag.problem, segments=parts))
-    assert not module._enough(replace(left, linear=cut_up), believed)
+    assert not module.enough(replace(left, linear=cut_up), believed)

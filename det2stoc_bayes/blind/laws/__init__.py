@@ -11,8 +11,10 @@ from det2stoc_bayes.blind.laws.joint import JOINT_LAWS
 from det2stoc_bayes.blind.laws.mechanism import MECHANISM_LAWS
 from det2stoc_bayes.blind.laws.sensor import SENSOR_LAWS
 from det2stoc_bayes.blind.laws.strings import STRING_LAWS
+from det2stoc_bayes.blind.laws.unlisted import UNLISTED_LAWS
 from det2stoc_bayes.blind.laws.world import WORLD_LAWS
 
+UNLISTED = "unlisted"  # what every law with `variables` is called in answers; asked for by it, any of them is drawn
 INTEGRATION = "numerical_integration"  # what the believed model does wrong, not what reality does besides
 LAWS: dict[str, Law] = {
     **JOINT_LAWS,
@@ -27,6 +29,8 @@ LAWS: dict[str, Law] = {
     **ACTUATOR_LAWS,
     **SENSOR_LAWS,
     INTEGRATION: Law("simulator", {"timestep": "s"}, lambda scene, element: 0.02, lambda m, drawn: {"timestep": m}),
+    **UNLISTED_LAWS,
 }
+NAMES = (*LAWS, UNLISTED)
 
-__all__ = ["INTEGRATION", "LAWS", "Effect", "Law", "Scene"]
+__all__ = ["INTEGRATION", "LAWS", "NAMES", "UNLISTED", "Effect", "Law", "Scene"]

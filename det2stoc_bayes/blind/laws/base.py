@@ -82,6 +82,7 @@ class Law:
     push: Callable[[mujoco.MjModel, str, Parameters], Force] | None = None
     receive: Callable[[mujoco.MjModel, int, Parameters], Mapping] | None = None
     record: Callable[[np.ndarray, np.ndarray, Parameters], np.ndarray] | None = None
+    variables: tuple[str, ...] = ()  # what a law depends on that is on no list; it is drawn only when asked for
 
     def parameters(self, size: float, drawn: Parameters) -> Parameters:
         """Parameters at a signed size, to four digits, so that what is told is exactly what is simulated."""

@@ -20,6 +20,7 @@ from det2stoc_bayes.mismatch.effects import (
     sensor,
     simulator,
     tether,
+    unlisted,
     world,
 )
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Element, PlacedEffect, Typical
@@ -79,6 +80,7 @@ CATALOGUE: dict[str, Effect] = {
         sensor.SensorDrift(),
         sensor.ClockSkew(),
         simulator.NumericalIntegration(),
+        unlisted.OverPosition(),
     )
 }
 

@@ -35,7 +35,8 @@ class EffectParameter:
     unit: str | tuple[str, str]
     absent: float = 0.0
     positive: bool = False
-    size: int = 1  # 3: a vector, whose values have a last axis of x, y, z
+    size: int = 1  # of a vector, whose values have a last axis; of 3 that is x, y, z
+    given: bool = False  # a constant that the law needs, and no unknown
 
     def unit_on(self, element: Element) -> str:
         """The unit on this element, ASCII."""
@@ -46,8 +47,9 @@ class EffectParameter:
 
     @property
     def components(self) -> tuple[str, ...]:
-        """A name for each scalar: `offset.x` of a vector."""
-        return (self.name,) if self.size == 1 else tuple(f"{self.name}.{axis}" for axis in AXES)
+        """A name for each scalar: `offset.x` of a vector in space, `curve.0` of another one."""
+        axes = AXES if self.size == len(AXES) else range(self.size)
+        return (self.name,) if self.size == 1 else tuple(f"{self.name}.{axis}" for axis in axes)
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,7 @@ class Effect:
     reads: ClassVar[tuple[str, ...]] = ()  # further model fields that `momentary` looks at
     in_mjx_fields: ClassVar[bool] = True  # whether MJX honours those fields
     complexity: ClassVar[int] = 1  # among equivalent effects the lowest names the class
+    listed: ClassVar[bool] = True  # whether it is tried in every study
 
     def fits(self, element: Element) -> bool:
         """Whether the effect can sit there."""
@@ -94,9 +97,26 @@ class Effect:
         return (element,)
 
     @property
+    def unknown(self) -> tuple[EffectParameter, ...]:
+        """The parameters that are not given."""
+        return tuple(p for p in self.parameters if not p.given)
+
+    @property
     def size(self) -> int:
         """Number of unknowns."""
-        return sum(p.size for p in self.parameters)
+        return sum(p.size for p in self.unknown)
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """A name for each unknown."""
+        return tuple(c for p in self.unknown for c in p.components)
+
+    def scalars(self, values: Mapping[str, Array]) -> list[Array]:
+        """Parameter values as one array for each of `components`."""
+        out = []
+        for p in self.unknown:
+            out += [values[p.name]] if p.size == 1 else [values[p.name][..., i] for i in range(p.size)]
+        return out
 
     # --- priors -----------------------------------------------------------------------------------------------
     def priors(self, typical: Typical) -> Mapping[str, Prior]:
@@ -229,14 +249,11 @@ class PlacedEffect:
     @property
     def unknowns(self) -> tuple[str, ...]:
         """A name for each scalar, as `payload_mass[arm].offset.x`."""
-        return tuple(f"{self.key}.{c}" for p in self.effect.parameters for c in p.components)
+        return tuple(f"{self.key}.{c}" for c in self.effect.components)
 
     def scalars(self, values: Mapping[str, Array]) -> list[Array]:
         """Parameter values as one array for each of `unknowns`."""
-        out = []
-        for p in self.effect.parameters:
-            out += [values[p.name]] if p.size == 1 else [values[p.name][..., i] for i in range(p.size)]
-        return out
+        return self.effect.scalars(values)
 
     def from_normal(self, z: Sequence[Array], xp: Any = np) -> dict[str, Array]:
         """Parameter values from standard normals."""

@@ -1,0 +1,106 @@
+"""Forces on no list: evidence in closed form, the variable that is told, listed effects that keep their names."""
+
+import numpy as np
+import pytest
+from simulated import dense_evidence, fit, place, spring_problem
+
+from det2stoc_bayes.mismatch.effects import Typical
+from det2stoc_bayes.mismatch.effects.unlisted import OverPosition, UnlistedForce, interpolated, leading, matern
+from det2stoc_bayes.mismatch.evidence import by_chance
+from det2stoc_bayes.mismatch.unlisted import explain_by_all
+from det2stoc_bayes.mismatch.unlisted_screen import screen_unlisted
+
+TYPICAL = Typical(force=3.0, speed=1.0, span=0.3, inertia=1.2)
+NAMES = ("quadratic_damping", "viscous_damping", "coulomb_friction", "constant_force", "cubic_stiffness")
+
+
+def pool_of(problem):
+    return [place(problem, name, "slide", TYPICAL) for name in NAMES]
+
+
+def pushed(law):
+    """A force on the block of this position, speed and time."""
+
+    def push(model, data):
+        data.qfrc_applied[0] = law(data.qpos[0], data.qvel[0], data.time)
+
+    return push
+
+
+def knock(q, v, t):
+    return 2.0 * np.exp(-(((t - 0.3) / 0.08) ** 2))
+
+
+LAWS = {
+    "position": lambda q, v, t: 1.5 * np.exp(-(((q - 0.1) / 0.05) ** 2)),
+    "velocity": lambda q, v, t: -1.5 * np.exp(-(((v - 0.6) / 0.25) ** 2)),
+    "time": knock,
+}
+
+
+def test_evidence_is_that_of_a_dense_regression(tmp_path):
+    """A mass on a spring is linear in a force of time, so that both are exact; the noise is told large: s2 = 1."""
+    problem = spring_problem(tmp_path, push=pushed(lambda q, v, t: 0.05 * knock(q, v, t)), noise=0.01)
+    problem = type(problem)(problem.simulator, problem.segments, 1.3 * problem.noise, problem.guess)
+    base = fit(problem, tolerance=1e-4, free_scale=False)
+    found = next(s for s in screen_unlisted(base, pool_of(problem), 1) if s.placed.effect.variables == ("time",))
+    z, start = base.point.z, base.point.start
+    plain = problem.simulator.rollout(problem.request(z[None], start))
+    with_one, columns = problem.with_effects([found.placed]), []
+    for values in found.trial.columns:
+        own = np.concatenate([z, found.placed.effect.to_normal(values, TYPICAL)])
+        moved = with_one.simulator.rollout(with_one.request(own[None], start))
+        columns.append((moved - plain).reshape(len(moved), -1))
+    expected = dense_evidence(problem, z, start, np.stack(columns, -1)) - dense_evidence(problem, z, start)
+    assert base.noise_scale == 1.0
+    assert found.log_evidence == pytest.approx(expected, abs=0.05 + 0.01 * abs(expected))
+
+
+@pytest.mark.parametrize("variable", LAWS)
+def test_the_variable_is_told(tmp_path, variable):
+    base = fit(spring_problem(tmp_path, push=pushed(LAWS[variable]), noise=1e-3))
+    first, second, *_ = screen_unlisted(base, pool_of(base.problem), 1)
+    assert first.placed.effect.variables == (variable,)
+    assert first.log_evidence > second.log_evidence + 20  # nats
+
+
+def test_a_curve_that_listed_effects_leave_is_found(tmp_path):
+    base = fit(spring_problem(tmp_path, push=pushed(LAWS["position"]), noise=1e-3))
+    found = explain_by_all(base, pool_of(base.problem))
+    (placed,) = found.after.problem.effects
+    assert isinstance(placed.effect, UnlistedForce) and placed.effect.variables == ("position",)
+    assert by_chance(found.after)
+    values = {n: v[0] for n, v in found.after.problem.effect_values(found.after.point.z[None])[0].items()}
+    x = np.linspace(values["least"], values["most"], len(values["curve"]))
+    truth = np.array([LAWS["position"](q, 0, 0) for q in x])
+    # What psi takes up, a slope, is not asked for; where the curve ends is seen least.
+    line = np.stack([np.ones_like(x), x], -1)
+    off, size = (y - line @ np.linalg.lstsq(line, y, rcond=None)[0] for y in (values["curve"] - truth, truth))
+    assert np.linalg.norm(off) < 0.4 * np.linalg.norm(size)  # measured: 0.27
+
+
+def test_a_listed_effect_keeps_its_name(tmp_path):
+    base = fit(spring_problem(tmp_path, push=pushed(lambda q, v, t: -0.5 * abs(v) * v), noise=1e-3))
+    found = explain_by_all(base, pool_of(base.problem))
+    assert [e.effect.name for e in found.after.problem.effects] == ["quadratic_damping"]
+
+
+def test_nothing_is_found_where_nothing_is_left_out(tmp_path):
+    base = fit(spring_problem(tmp_path, noise=1e-3))
+    assert explain_by_all(base, pool_of(base.problem)).after is base
+
+
+def test_a_curve_goes_through_its_knots_and_bends_as_told():
+    knots = np.linspace(-1.0, 2.0, 65)
+    at, shares = interpolated(knots, -1.0, 2.0, 65, np)
+    np.testing.assert_allclose((shares * knots[at]).sum(-1), knots, atol=1e-12)
+    x = np.linspace(-1.0, 2.0, 300)
+    at, shares = interpolated(x, -1.0, 2.0, 65, np)
+    off = np.abs((shares * np.sin(4 * knots)[at]).sum(-1) - np.sin(4 * x))
+    assert off[5:-5].max() < 5e-4 and off.max() < 0.01  # measured: 2e-4, and 0.008 beside the last knots
+    at, shares = interpolated(np.array([-9.0, 9.0]), -1.0, 2.0, 65, np)
+    np.testing.assert_allclose((shares * knots[at]).sum(-1), [-1.0, 2.0], atol=1e-12)  # stays as it ends
+    modes = leading((65,), (0.16,))
+    kernel = matern(np.linspace(0, 1, 65), 0.16)
+    assert np.trace(modes @ modes.T) == pytest.approx(np.trace(kernel), rel=0.005)
+    assert OverPosition().size == modes.shape[1]
