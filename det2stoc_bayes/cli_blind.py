@@ -37,6 +37,7 @@ def blind(
     short_controls: Annotated[int | None, _count("The same with three short recordings.")] = None,
     contact: Annotated[int | None, _count("Studies that conceal an effect where bodies touch.")] = None,
     contact_controls: Annotated[int | None, _count("The same that conceal nothing.")] = None,
+    unlisted: Annotated[int | None, _count("Studies that conceal an effect on no list.")] = None,
     seed: Annotated[
         str | None, typer.Option(metavar="HEX", help="By default the first 8 digits of git's HEAD, or 0.")
     ] = None,
@@ -69,7 +70,7 @@ def blind(
         if seed is not None and not re.fullmatch("[0-9a-fA-F]{1,40}", seed):
             raise Det2StocError(f"--seed: found '{seed}'; allowed: 1 to 40 hexadecimal digits")
         given = {"effect": effects, "pair": pairs, "control": controls, "short_control": short_controls}
-        given |= {"contact": contact, "contact_control": contact_controls}
+        given |= {"contact": contact, "contact_control": contact_controls, "unlisted": unlisted}
         counts = {kind: number for kind, number in given.items() if number is not None}
         if rescore is not None:
             lines, told = _logged(rescore, seed), {"log": str(rescore)}

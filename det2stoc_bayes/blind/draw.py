@@ -48,7 +48,9 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "unlisted": Kind(6, MappingProxyType({"effect": UNLISTED})),
     }
 )
-MIXTURE = MappingProxyType({"effect": 30, "pair": 6, "contact": 9, "control": 12, "contact_control": 3})  # of 60
+MIXTURE = MappingProxyType(  # of 60
+    {"effect": 25, "pair": 6, "contact": 8, "unlisted": 6, "control": 12, "contact_control": 3}
+)
 
 
 @dataclass(frozen=True)
