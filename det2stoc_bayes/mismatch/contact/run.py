@@ -10,12 +10,14 @@ from det2stoc_bayes.mismatch.contact.judge import Verdict, judged
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import (
     MAX_EFFECTS,
+    ROUNDS,
     Pair,
     Progress,
     Round,
     converged,
     held_out,
     look,
+    resettled,
     settled,
 )
 from det2stoc_bayes.mismatch.contact.window_fit import WindowFit, at
@@ -50,7 +52,8 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
             break
         base = one.taken
     progress("scoring held-out recordings", 0, 1)
-    said = judged(before, rounds, fine, seed, base)
+    final = base if base is before else resettled(base, ROUNDS)
+    said = judged(before, rounds, fine, seed, final)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
     progress("scoring held-out recordings", 1, 1)
     composer = ContactComposer(said, when, seed)

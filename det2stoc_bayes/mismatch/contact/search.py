@@ -123,7 +123,10 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress) -> Round:
         progress("screening effects", done[0], len(others) * len(grounds))
 
     screened = [screen(g.fit, others, advance) for g in grounds]
-    worth = [shortlist([s for s in found if s.tail < CHANCE and s.gain > LEAST_GAIN]) for found in screened]
+    worth = [
+        shortlist([s for s in found if s.tail < CHANCE and s.gain > LEAST_GAIN], NUM_REFINED // len(grounds))
+        for found in screened
+    ]
     count, found = sum(len(w) for w in worth), []
     for ground, promises in zip(grounds, worth, strict=True):
         here = []
@@ -166,12 +169,12 @@ def _started(windows: Windows, z: Float[np.ndarray, " size"]) -> Windows:
     return there if finer is None else there.shifted(z, finer.timestep, finer.integrator)
 
 
-def shortlist(worth: Sequence[Promise]) -> list[Promise]:
+def shortlist(worth: Sequence[Promise], best: int) -> list[Promise]:
     """The best, and the best of effects that are not among them."""
-    first = list(worth[:NUM_REFINED])
+    first = list(worth[:best])
     names = {s.placed.effect.name for s in first}
-    for s in worth[NUM_REFINED:]:
-        if s.placed.effect.name not in names and len(first) < NUM_REFINED + NUM_OTHERS:
+    for s in worth[best:]:
+        if s.placed.effect.name not in names and len(first) < best + NUM_OTHERS:
             first.append(s)
             names.add(s.placed.effect.name)
     return first
@@ -204,10 +207,10 @@ def earns(base: Pair, more: Pair) -> bool:
     return certainty(base.held.losses - more.held.losses, more.held.windows.recording) > HELD_CERTAIN
 
 
-def resettled(pair: Pair) -> Pair:
+def resettled(pair: Pair, rounds: int = 2) -> Pair:
     """With starts estimated under the whole hypothesis, of fitted and held-out windows."""
     finer = pair.fit.problem.finer
-    fit = settled(pair.fit.windows, pair.fit.z, 2)
+    fit = settled(pair.fit.windows, pair.fit.z, rounds)
     problem = replace(pair.held.windows.fine().problem, effects=fit.problem.effects, spreads=fit.problem.spreads)
     windows = pair.held.windows.with_problem(problem)
     windows = smoothed(windows, fit.problem.carry(fit.z, problem))
