@@ -109,7 +109,7 @@ def _line(key: Key, case: ConcealedCase, outcome: Outcome) -> Line:
     """A case in the log."""
     told = {name: outcome.diagnosis[name] for name in KEPT if name in outcome.diagnosis}
     line: Line = {"kind": key[0], "index": key[1], "case_seed": case.seed}
-    line |= {"seconds": round(outcome.seconds, 1), "peak_mb": round(outcome.megabytes, 1)}
+    line |= {"seconds": round(outcome.seconds, 3), "peak_mb": round(outcome.megabytes, 1)}
     line |= {"answer": case.answer, "diagnosis": told, "said": score(case.answer, told).diagnosed}
     return line | ({"rollout": outcome.rollout} if outcome.rollout else {})
 
