@@ -65,7 +65,10 @@ def _badge(told: Summary) -> tuple[str, str]:
     rejected = [name for name, p in tests.items() if any(v < LEVEL for v in p)]
     if rejected:
         return "mismatch", f"{' and '.join(rejected)} rejected at {LEVEL:.0%}".capitalize()
-    return "no_mismatch", "Intervals and probabilities hold"
+    tested = [name for name, p in tests.items() if p]
+    if not tested:
+        return "inconclusive", "Nothing to test"
+    return "no_mismatch", f"{' and '.join(tested)} hold".capitalize()
 
 
 def _runs(lines: Sequence[Json]) -> list[str]:

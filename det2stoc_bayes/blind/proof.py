@@ -96,7 +96,9 @@ def read(log: Path) -> tuple[list[Line], int]:
 def _told(lines: Iterable[Line]) -> Iterator[Line]:
     """Lines that are cases."""
     for line in lines:
-        whole = {"kind", "index", "answer", "diagnosis", "seconds", "peak_mb"} <= line.keys() and line["kind"] in KINDS
+        whole = {"kind", "index", "answer", "diagnosis", "seconds", "peak_mb"} <= line.keys()
+        whole = whole and isinstance(line["kind"], str) and line["kind"] in KINDS
+        whole = whole and all(isinstance(line[key], dict) for key in ("answer", "diagnosis"))
         if whole and "effects" in line["answer"] and "verdict" in line["diagnosis"]:
             yield line
 

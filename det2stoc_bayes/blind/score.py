@@ -182,5 +182,5 @@ def matches(members: Sequence[Json], entry: Json) -> list[tuple[Json, Json]]:
 
 def _same_variables(right: Json, given: Json) -> bool:
     """Whether an effect on no list is said to depend on what it depends on; a candidate need not say it."""
-    found = (given.get("parameters") or {}).get("variables")
+    found = given.get("variables") or (given.get("parameters") or {}).get("variables")
     return "variables" not in right or found is None or set(found) == set(right["variables"])

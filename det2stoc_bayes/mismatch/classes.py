@@ -30,7 +30,8 @@ def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
 
     Members fit equally well and predict alike. Their prior scales are conventions, so it is the likelihood that is
     compared, where the priors of effects are too wide to matter, not the evidence, which those scales enter. A family
-    with more parameters that gains nothing by them counts for the class, but only the smallest are its members.
+    with more parameters that gains nothing by them counts for the class, but only the smallest are its members; curves
+    over other variables are no such families, and are all members.
     """
     left = list(slot.ranked)
     chance = dict(zip((id(r) for r in left), _chances(slot, num_candidates), strict=True))
@@ -39,8 +40,13 @@ def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
         best = left[0]
         alike = [r for r in left if r is best or _alike(best, r, share)]
         left = [r for r in left if not any(r is m for m in alike)]
-        smallest = min(r.placed.size for r in alike)
-        members = sorted((r for r in alike if r.placed.size == smallest), key=lambda r: r.placed.effect.complexity)
+        listed = [r for r in alike if r.placed.effect.listed]
+        smallest = min(r.placed.size for r in listed or alike)
+        fewest = min(r.placed.effect.complexity for r in alike)
+        members = sorted(
+            (r for r in alike if (r.placed.size == smallest if listed else r.placed.effect.complexity == fewest)),
+            key=lambda r: r.placed.effect.complexity,
+        )
         found.append(Class(tuple(members), tuple(alike), float(sum(chance[id(r)] for r in alike))))
     return sorted(found, key=lambda c: -c.probability)
 

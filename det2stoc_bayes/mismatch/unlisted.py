@@ -37,8 +37,11 @@ class _Curves:
 
 
 def explain_by_all(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None) -> Explanation:
-    """The explanation by listed effects, or with a curve where they leave a misfit that it takes away."""
-    if not joints(pool):
+    """The explanation by listed effects, or with a curve where they leave a misfit that it takes away.
+
+    Of a lone recording a curve takes up whatever happens on its joint, and no other recording would tell.
+    """
+    if not joints(pool) or not others_exist(before):
         return explain(before, pool, progress)
     looks = Looks(progress)
     return _at_once(before, pool, looks) or beyond_list(explain(before, pool, progress, looks), pool, looks)
@@ -56,12 +59,10 @@ def _at_once(before: Fit, pool: Sequence[PlacedEffect], looks: Looks) -> Explana
     if any(enough(f, before) for f in single):
         return None
     listed = max([0.0, *(s.log_evidence for s in first.screened[:1]), *(gain(before, f, 1.0) for f in single)])
-    for num_variables in (1, 2):
-        curves = _beside(before, pool, num_variables, listed + needed)
-        best = extend(curves.ranked[0].fit) if curves.ranked else None
-        if best is not None and enough(best, before):
-            break
-    else:
+    # A surface over position and velocity is many listed effects at once: it waits until these were searched.
+    curves = _beside(before, pool, 1, listed + needed)
+    best = extend(curves.ranked[0].fit) if curves.ranked else None
+    if best is None or not enough(best, before):
         return None
     promised = max(PROMISING * s.log_evidence for s in curves.screened)
     pairs = looks.pairs(before, first.screened, max(needed + listed, promised), NUM_PAIRS)
@@ -156,16 +157,19 @@ def _clearly(fit: Fit, found: Explanation, needed: float) -> bool:
         return enough(fit, found.before)
     if not enough(fit, found.before) and fit.noise_inflation - 1 > LEFT * (listed.noise_inflation - 1):
         return False
-    if not others_exist(listed):
-        return True
     return untold(fit) + NEGLIGIBLE * untold(found.before) < untold(listed)
 
 
 def _with(fit: Fit, found: Explanation, curves: _Curves, pool: Sequence[PlacedEffect], looks: Looks) -> Explanation:
     """The explanation by a fit that has a curve: every place with what could stand there, other curves among it."""
-    first = looks.at(found.before, pool)
-    screened = sorted([*first.screened, *curves.screened], key=lambda s: -s.log_evidence)
-    ranked = sorted([*first.ranked, *curves.ranked], key=lambda r: -r.gain)
+    found = replace(found, before=bare_fit(found.before, fit))
+    first, extent = looks.at(found.before, pool), found.before.problem.segments.extent
+    # What was found on shorter parts of recordings has other evidence, and responses of another shape.
+    here = [r for r in curves.ranked if r.fit.problem.segments.extent == extent]
+    known = {r.placed for r in here}
+    told = [s if s.placed in known else replace(s, response=None) for s in curves.screened]
+    screened = sorted([*first.screened, *told], key=lambda s: -s.log_evidence)
+    ranked = sorted([*first.ranked, *here], key=lambda r: -r.gain)
     slot = replace(first, screened=tuple(screened), ranked=tuple(ranked))
     whole, lean = [*pool, *(s.placed for s in curves.screened)], {}
     looks.know(slot, whole)

@@ -191,7 +191,7 @@ class OverCommand(_OverOne):
 class _OverTwo(UnlistedForce):
     """A surface over two variables; in its curve the second one runs fastest."""
 
-    counts = (NUM_FIRST, NUM_SECOND)
+    counts, complexity = (NUM_FIRST, NUM_SECOND), 10
 
     def __init_subclass__(cls):
         slide, hinge = (", ".join(UNITS[v][i] for v in cls.variables) for i in (0, 1))
@@ -264,7 +264,7 @@ def matern(x: Float[np.ndarray, " knots"], length: float) -> Float[np.ndarray, "
 def interpolated(x: Array, least: Array, most: Array, count: int, xp) -> tuple[Array, Array]:
     """The four of `count` even knots that a curve's value at x follows from, and what each of them counts (..., 4)."""
     at = xp.clip((x - least) / (most - least), 0.0, 1.0) * (count - 1)
-    low = xp.clip(xp.floor(at), 0, count - 2)
+    low = xp.nan_to_num(xp.clip(xp.floor(at), 0, count - 2))  # shares stay NaN where a simulation diverged
     u = at - low
     shares = (-0.5 * u + u**2 - 0.5 * u**3, 1 - 2.5 * u**2 + 1.5 * u**3)
     shares += (0.5 * u + 2 * u**2 - 1.5 * u**3, 0.5 * u**3 - 0.5 * u**2)
