@@ -131,7 +131,7 @@ def outliers(folder):
 
 
 @pytest.mark.timeout(900)  # NUTS on simulations, a minute each alone
-@pytest.mark.parametrize(("study", "num_samples"), [(dry_friction, 1600), (two_joints, 320), (outliers, 640)])
+@pytest.mark.parametrize(("study", "num_samples"), [(dry_friction, 1200), (two_joints, 320), (outliers, 320)])
 def test_cheap_and_exact_agree(tmp_path, study, num_samples):
     found = fit(study(tmp_path / "study"))
     assert found.noise_inflation < 1.4
