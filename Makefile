@@ -5,14 +5,15 @@ UV_VERSION := 0.13.8
 BIN := .venv/bin
 READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
 
-.PHONY: help test lint format demo bench real stripped amortized tuning compare-sbi clean
+.PHONY: help test test-long lint format demo bench real stripped amortized tuning compare-sbi clean
 NAMES := pendulum_multiarm servo_xl330 ball_drops
 STUDIES ?= ../shared/studies
 BENCHMARKS := bad_input sysid_silence transitions
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make test    lint, types and all tests"
+	@echo "make test    lint, types and tests"
+	@echo "make test-long  the tests that take a minute each, which make test leaves out"
 	@echo "make demo    conceal an effect, diagnose it, compare"
 	@echo "make lint    ruff and pyright alone"
 	@echo "make format  let ruff put the files in shape"
@@ -26,6 +27,9 @@ help:
 
 test: lint
 	$(BIN)/python -m pytest
+
+test-long: $(READY)
+	$(BIN)/python -m pytest -m long
 
 lint: $(READY)
 	$(BIN)/ruff check .

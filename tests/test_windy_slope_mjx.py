@@ -25,6 +25,7 @@ def test_until_the_hit_the_post_s_shape_does_not_matter(on_the_prism, monkeypatc
     assert np.abs(prism - post).max() > 0.1  # but then it does: the box ends 1.6 m elsewhere (median of 100)
 
 
+@pytest.mark.long
 def test_mjx_is_the_c_engine_until_the_hit(on_the_prism):
     """Measured: 6e-6 apart in any of the 18 numbers; after the hit 0.1 to 0.3, as MJX finds other contact points."""
     with jax.enable_x64(True):

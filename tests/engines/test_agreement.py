@@ -192,6 +192,7 @@ prior = { Normal = { loc = -9.8, scale = 0.1 } }
         assert np.abs(difference - jacobian[..., k]).max() < 1e-4 * np.abs(difference).max()
 
 
+@pytest.mark.long
 def test_derivatives_of_a_body_at_rest_are_finite(tmp_path):
     xml = model_xml(FREE)
     study = make_study(

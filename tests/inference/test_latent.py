@@ -54,6 +54,7 @@ def test_a_mixture_finds_two_kinds():
     np.testing.assert_allclose(np.exp(np.asarray(found.log_scale))[order, 0], 0.2, atol=0.1)
 
 
+@pytest.mark.long
 def test_an_added_latent_learns_what_the_others_do_not_explain():
     """A decoder that knows no second cause: extended, it learns its size while its own weights stay."""
     random = np.random.default_rng(3)

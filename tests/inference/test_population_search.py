@@ -17,6 +17,7 @@ def found(tmp_path_factory):
     return population_search.fit(problem, 0, num_samples=200), truth[:COUNT]
 
 
+@pytest.mark.long
 def test_it_finds_mean_and_spread(found):
     """Twelve recordings tell a mean to 0.29 of their sd, and the sd to 20 %."""
     tree, truth = found
@@ -25,6 +26,7 @@ def test_it_finds_mean_and_spread(found):
     assert sigma == pytest.approx(truth.std(ddof=1), rel=0.4)  # measured: 0.0
 
 
+@pytest.mark.long
 def test_draws_are_the_population_s(found):
     tree, _ = found
     assert np.ptp(tree.posterior["stiffness_mu"].values) == 0
@@ -32,6 +34,7 @@ def test_draws_are_the_population_s(found):
     assert values.std() == pytest.approx(sigma, rel=4 / np.sqrt(2 * len(values)))
 
 
+@pytest.mark.long
 def test_the_discrepancy_falls(found):
     """To what recordings that scatter have among themselves; measured: 56.4 to 53.1."""
     history = found[0].sample_stats.discrepancy.values

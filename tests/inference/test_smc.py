@@ -82,6 +82,7 @@ def test_diverged_simulations_have_no_weight():
     assert moved.log_evidence == pytest.approx(np.log(0.5), abs=0.1)
 
 
+@pytest.mark.long
 def test_from_the_mode_it_is_the_same_posterior(gaussian_problem, fits):
     cheap = smc.fit(gaussian_problem, 3, initial="mode")
     assert len(cheap.sample_stats.tempering) < len(fits("smc").sample_stats.tempering)

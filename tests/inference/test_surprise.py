@@ -55,6 +55,7 @@ def of(learned, folder, seeds, **options):
     return np.concatenate([mean_surprise(turn, part, own.stretches.count, varies=False) for part in parts])
 
 
+@pytest.mark.long
 def test_p_values_are_uniform_under_the_right_model(learned, judged, tmp_path):
     found = of(learned, tmp_path, range(NUM_STUDIES))
     p = [replace(judged, recorded=float(value)).p_value for value in found]

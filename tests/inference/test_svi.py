@@ -43,6 +43,7 @@ def test_weights_tell_that_the_guide_came_close(gaussian_problem, guide):
     assert tree.sample_stats.loss.dims == ("step",) and np.isfinite(tree.sample_stats.loss).all()
 
 
+@pytest.mark.long
 def test_the_loss_bounds_the_evidence(gaussian_problem):
     """ELBO <= log evidence, which weights estimate; equal where the guide is the posterior."""
     full, diagonal = (svi.fit(gaussian_problem, 1, num_samples=NUM, guide=g) for g in ("full", "diagonal"))

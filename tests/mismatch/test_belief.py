@@ -131,7 +131,10 @@ def outliers(folder):
 
 
 @pytest.mark.timeout(900)  # NUTS on simulations, a minute each alone
-@pytest.mark.parametrize(("study", "num_samples"), [(dry_friction, 1200), (two_joints, 320), (outliers, 320)])
+@pytest.mark.parametrize(
+    ("study", "num_samples"),
+    [(dry_friction, 1200), (two_joints, 320), pytest.param(outliers, 320, marks=pytest.mark.long)],
+)
 def test_cheap_and_exact_agree(tmp_path, study, num_samples):
     found = fit(study(tmp_path / "study"))
     assert found.noise_inflation < 1.4
@@ -227,6 +230,7 @@ def covered(problem, truth, seed):
     return (low <= truth) & (truth <= high)
 
 
+@pytest.mark.long
 def test_intervals_are_calibrated_when_linear(gaussian):
     random, setting = np.random.default_rng(11), linear_gaussian.Setting()
     held = []
