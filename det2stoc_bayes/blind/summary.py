@@ -152,16 +152,6 @@ def cells(tally: Tally) -> list[str]:
     return [str(c) for c in counts] + shares + took
 
 
-def markdown(rows: Sequence[Row]) -> str:
-    """The table by kind, pooled figures, then misses with what was said, and false alarms."""
-    told = summarize(rows)
-    lines = ["| " + " | ".join(("kind", *HEADINGS)) + " |", "|" + "---|" * (len(HEADINGS) + 1)]
-    lines += ["| " + " | ".join((tally.name, *cells(tally))) + " |" for tally in told.kinds]
-    lines += ["", *(f"- {text}" for text in sentences(told))]
-    wrong = missed(rows)
-    return "\n".join([*lines, *(["", "Not right:", "", *(f"- {text}" for text in wrong)] if wrong else [])])
-
-
 def missed(rows: Sequence[Row]) -> list[str]:
     """What was not right, and what was said instead."""
     wrong = [r for r in rows if not r.score.named]

@@ -11,11 +11,11 @@ from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_evidence
 from det2stoc_bayes.mismatch.pairs import pairs, varied
 from det2stoc_bayes.mismatch.screen import Screened, screen
+from det2stoc_bayes.mismatch.shortlist import shortlist
 from det2stoc_bayes.optimize import Fit, fit_many, sketch
 from det2stoc_bayes.problem import Problem
 
 NUM_REFINED = 5
-NUM_OTHERS = 3
 NUM_PAIRS = 6
 PROMISING = 0.3  # of the best screened evidence: what earns less is not refined
 RACE = (10.0, 0.3, 50.0)  # how far behind the best sketch a candidate may be: nats, share of the gain, at most
@@ -77,7 +77,7 @@ def _refined(base: Fit, screened: Sequence[Screened], known: Sequence[Ranked], c
     """Joint Gauss-Newton of psi and each candidate that may earn its place, best evidence first."""
     best = screened[0].log_evidence if screened else 0.0
     least = max(PROMISING * best, threshold(count) / 3)
-    worth = _shortlist([s for s in screened if s.log_evidence > least])
+    worth = shortlist([s for s in screened if s.log_evidence > least], NUM_REFINED)
     fits = {r.placed: r.fit for r in known if r.placed in {s.placed for s in worth}}
     new = [s for s in worth if s.placed not in fits]
     progress("refining the best", 0, len(new))
@@ -92,17 +92,6 @@ def _refined(base: Fit, screened: Sequence[Screened], known: Sequence[Ranked], c
 def _starts(s: Screened) -> list[Screened]:
     """An effect's best trial, and the best that has other columns: where parameters multiply, they end apart."""
     return [s, *[t for t in s.others if len(t.trial.columns) != len(s.trial.columns)][:1]]
-
-
-def _shortlist(worth: Sequence[Screened]) -> list[Screened]:
-    """The best, and the best of effects that are not among them: the same law on other elements crowds others out."""
-    first = list(worth[:NUM_REFINED])
-    names = {s.placed.effect.name for s in first}
-    for s in worth[NUM_REFINED:]:
-        if s.placed.effect.name not in names and len(first) < NUM_REFINED + NUM_OTHERS:
-            first.append(s)
-            names.add(s.placed.effect.name)
-    return first
 
 
 def refine_pairs(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from det2stoc_bayes.mismatch.crossed import others_exist, untold
 from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.effects.unlisted import FORMS
 from det2stoc_bayes.mismatch.evidence import by_chance, effective_share, log_evidence
 from det2stoc_bayes.mismatch.explain import Explanation, bare_fit, enough, explain, grow, judged, misses
 from det2stoc_bayes.mismatch.horizon import extend
@@ -23,7 +24,6 @@ from det2stoc_bayes.optimize import Fit, fit_many
 NUM_REFINED = 2
 MOST_RESHAPED = 3  # times that a curve's prior is chosen anew
 ENOUGH = 2.0  # nats: a choice that gains less is the last one
-NUM_FORMS = 7  # sets of variables
 LEFT = 0.2  # of the misfit beside listed effects: what leaves more is not the shape that is missing
 PROMISING = 0.5  # of the evidence that listed effects earn: what a curve must promise to be fitted
 
@@ -88,7 +88,7 @@ def beyond_list(found: Explanation, pool: Sequence[PlacedEffect], looks: Looks) 
 
 def _count(pool: Sequence[PlacedEffect]) -> int:
     """Listed candidates and curves."""
-    return len(pool) + NUM_FORMS * len(joints(pool))
+    return len(pool) + len(FORMS) * len(joints(pool))
 
 
 def _wanted(found: Explanation) -> bool:

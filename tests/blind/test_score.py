@@ -13,7 +13,7 @@ from det2stoc_bayes.blind import demo
 from det2stoc_bayes.blind.conceal import make_case
 from det2stoc_bayes.blind.score import heldout_errors, improvement, score
 from det2stoc_bayes.blind.statements import Group, groups, reliability
-from det2stoc_bayes.blind.summary import markdown, pooled, row, summarize
+from det2stoc_bayes.blind.summary import cells, missed, pooled, row, summarize
 
 
 def entry(name, kind, element, **parameters):
@@ -145,7 +145,7 @@ def line(kind, answer, diagnosis):
     return {"kind": kind, "answer": answer, "diagnosis": diagnosis, "seconds": 10.0, "peak_mb": 300.0}
 
 
-def test_summary_and_markdown():
+def test_summary_and_what_was_missed():
     drag, psi = DRAG | {"probability": 1.0}, {"mass": {"after": {"mean": 2.1, "sd": 0.1}}}
     said = [claim(drag, psi=psi), claim(drag), {"verdict": "no_mismatch"}]
     pairs = zip(("effect", "control", "control"), (ANSWER, CONTROL, CONTROL), said, strict=True)
@@ -154,10 +154,9 @@ def test_summary_and_markdown():
     effect, control, whole = told.kinds
     assert (effect.right, effect.cover, effect.narrow, control.false_claims, whole.right) == (1, 1, 1, 1, 2)
     assert {c.name: (c.inside, c.count) for c in told.coverage}["both"] == (2, 2)
-    text = markdown(rows).splitlines()
-    assert text[2].startswith("| effect | 1 | 1 | 1 | 0 | 1 of 1 | 1 of 1 | 2.0 % | 24.0 % |")
-    assert text[3].startswith("| control | 2 | 1 | 1 | 1 | 0 of 0 |")
-    assert text[-1] == "- control: nothing was said to be quadratic_drag @ carriage (false alarm)"
+    assert cells(effect)[:8] == ["1", "1", "1", "0", "1 of 1", "1 of 1", "2.0 %", "24.0 %"]
+    assert cells(control)[:5] == ["2", "1", "1", "1", "0 of 0"]
+    assert missed(rows) == ["control: nothing was said to be quadratic_drag @ carriage (false alarm)"]
 
 
 def test_every_parameter_is_pooled_and_the_size_alone_decides():

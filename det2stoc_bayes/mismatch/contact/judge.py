@@ -15,7 +15,6 @@ from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 NUM_REPLICAS = 2
 FARTHEST = 4.0  # scales beyond which an error counts no more: one window that went the other way says little
 MOST_LEFT = 0.5  # of the excess error that a named effect may leave unexplained
-REPLICA_CERTAIN = 2.0  # standard errors of an excess over what the model itself would leave
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +123,6 @@ def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
     return tuple(found)
 
 
-def gains_by_window(before: Pair, after: Pair) -> Float[np.ndarray, " windows"]:
-    """What each window gains, held-out ones last."""
-    return before.losses - after.losses
-
-
 def worst_column(verdict: Verdict) -> tuple[str, float]:
     """The column whose error most exceeds what the model itself would leave, and by how many times in variance."""
     final = verdict.shown.fit
@@ -140,7 +134,7 @@ def worst_column(verdict: Verdict) -> tuple[str, float]:
 
 def log10_bayes(before: Pair, after: Pair) -> float:
     """Gain in log likelihood, horizons and columns counted once for all that are correlated."""
-    gains = gains_by_window(before, after)
+    gains = before.losses - after.losses
     z = certainty(gains, before.owners)
     return float(min(0.5 * z * abs(z), gains.sum()) / np.log(10)) if z > 0 else 0.0
 

@@ -19,8 +19,9 @@ from det2stoc_bayes.mismatch.contact.search import (
     look,
     resettled,
     settled,
+    shifted,
 )
-from det2stoc_bayes.mismatch.contact.window_fit import WindowFit, at
+from det2stoc_bayes.mismatch.contact.window_fit import WindowFit
 from det2stoc_bayes.mismatch.contact.window_starts import smoothed
 from det2stoc_bayes.mismatch.contact.windows import make_windows
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
@@ -71,14 +72,13 @@ def _believed(problem: Problem) -> tuple[Pair, bool]:
     if not np.isfinite(windows.predicted(np.zeros(windows.problem.size))).any():
         raise SimulationDiverged(f"{study.model_path}: the simulation diverges from every recorded start")
     fit, fine = converged(settled(windows))
-    finer = (fit.problem.timestep, fit.problem.integrator)
+    timestep, integrator = fit.problem.timestep, fit.problem.integrator
     others = windows.with_problem(fit.problem).on(held if held else fitted[:1])
     start = smoothed(others, fit.problem.carry(fit.z, others.problem))
-    there = held_out(fit, start)
-    if fine and finer[0] is not None and finer[1] is not None:
-        fit = at(fit.windows.shifted(fit.z, finer[0], finer[1]), fit.z)
-        there = at(there.windows.shifted(there.z, finer[0], finer[1]), there.z, fit.scales)
-    return Pair(fit, there), fine
+    found = Pair(fit, held_out(fit, start))
+    if fine and timestep is not None and integrator is not None:
+        found = shifted(found, timestep, integrator)
+    return found, fine
 
 
 def _patch(said: Verdict, composer: ContactComposer) -> Patch:

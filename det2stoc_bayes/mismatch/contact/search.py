@@ -12,8 +12,9 @@ from det2stoc_bayes.mismatch.contact.window_fit import WindowFit, at, fit_window
 from det2stoc_bayes.mismatch.contact.window_starts import smoothed
 from det2stoc_bayes.mismatch.contact.windows import Windows
 from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.shortlist import shortlist
 
-NUM_REFINED, NUM_OTHERS = 5, 3  # candidates that are fitted: the best, and the best under other names
+NUM_REFINED = 5  # the best candidates, which are fitted
 NUM_SETTLED = 3  # of them, whose starts are estimated anew
 FAR = 2.0  # prior sds
 CHANCE = 0.05  # tail probability beyond which a screened effect is not fitted: fitted gains decide
@@ -149,9 +150,11 @@ def recentred(base: Pair) -> Pair | None:
     if np.abs(base.fit.z[psi]).max(initial=0.0) < FAR:
         return None
     z = np.where(psi, 0.0, base.fit.z)
-    there = [_started(one.windows, problem.carry(z, one.problem)) for one in (base.fit, base.held)]
-    fit = at(there[0], z)
-    return Pair(fit, at(there[1], problem.carry(z, base.held.problem), fit.scales))
+    fit, held = (smoothed(one.windows.fine(), problem.carry(z, one.problem)) for one in (base.fit, base.held))
+    there = at(fit, z)
+    other = Pair(there, at(held, problem.carry(z, base.held.problem), there.scales))
+    finer = problem.finer
+    return other if finer is None else shifted(other, finer.timestep, finer.integrator)
 
 
 def distinct(pairs: Sequence[Pair]) -> list[Pair]:
@@ -162,22 +165,10 @@ def distinct(pairs: Sequence[Pair]) -> list[Pair]:
     return list(first.values())
 
 
-def _started(windows: Windows, z: Float[np.ndarray, " size"]) -> Windows:
-    """With starts as these unknowns have them."""
-    finer = windows.problem.finer
-    there = smoothed(windows.fine(), z)
-    return there if finer is None else there.shifted(z, finer.timestep, finer.integrator)
-
-
-def shortlist(worth: Sequence[Promise], best: int) -> list[Promise]:
-    """The best, and the best of effects that are not among them."""
-    first = list(worth[:best])
-    names = {s.placed.effect.name for s in first}
-    for s in worth[best:]:
-        if s.placed.effect.name not in names and len(first) < best + NUM_OTHERS:
-            first.append(s)
-            names.add(s.placed.effect.name)
-    return first
+def shifted(pair: Pair, timestep: float, integrator: str) -> Pair:
+    """The same unknowns under the believed integration, whose error there is taken off."""
+    fit = at(pair.fit.windows.shifted(pair.fit.z, timestep, integrator), pair.fit.z)
+    return Pair(fit, at(pair.held.windows.shifted(pair.held.z, timestep, integrator), pair.held.z, fit.scales))
 
 
 def added(base: Pair, promise: Promise) -> Pair:
@@ -214,11 +205,8 @@ def resettled(pair: Pair, rounds: int = 2) -> Pair:
     problem = replace(pair.held.windows.fine().problem, effects=fit.problem.effects, spreads=fit.problem.spreads)
     windows = pair.held.windows.with_problem(problem)
     windows = smoothed(windows, fit.problem.carry(fit.z, problem))
-    held = held_out(fit, windows)
-    if finer is not None:
-        fit = at(fit.windows.shifted(fit.z, finer.timestep, finer.integrator), fit.z)
-        held = at(held.windows.shifted(held.z, finer.timestep, finer.integrator), held.z, fit.scales)
-    return Pair(fit, held)
+    found = Pair(fit, held_out(fit, windows))
+    return found if finer is None else shifted(found, finer.timestep, finer.integrator)
 
 
 def chances(pairs: Sequence[Pair], random: np.random.Generator, count: int = 4000) -> Float[np.ndarray, " pairs"]:

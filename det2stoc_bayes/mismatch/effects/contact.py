@@ -126,40 +126,37 @@ class FrictionError(ContactEffect):
         return slid(friction, p["ratio"], xp), solref, dim
 
 
-class RollingFriction(ContactEffect):
-    """Rolling is resisted, too."""
+class TurningFriction(ContactEffect):
+    """Base of friction against turning: what is added to the `part` of friction that `directions` of contact bring."""
 
-    name, law, law_text = "rolling_friction", r"\mu_r\,N", "a torque of coefficient N against rolling"
-    noun = "Rolling friction"
     parameters = (EffectParameter("coefficient", "m", positive=True),)
     complexity = 2
+    part, directions, share = 1, 4, 0.2  # of the body's size
 
     def priors(self, typical):
         """A fraction of the body's size."""
-        return {"coefficient": Prior("Normal", {"loc": 0.0, "scale": 0.1 * typical.span})}
+        return {"coefficient": Prior("Normal", {"loc": 0.0, "scale": self.share * typical.span})}
 
     def changed(self, p, friction, solref, dim, xp):
-        """Adds to the rolling part; a contact of six directions has one."""
-        rolling = friction[..., 2:] + xp.maximum(p["coefficient"][..., None], 0.0)
-        return xp.concatenate([friction[..., :2], rolling], -1), solref, xp.maximum(dim, 6)
+        """Adds to its part; a contact of enough directions has one."""
+        more = xp.maximum(p["coefficient"][..., None], 0.0) * (np.arange(3) == self.part)
+        return friction + more, solref, xp.maximum(dim, self.directions)
 
 
-class TorsionalFriction(ContactEffect):
+class TorsionalFriction(TurningFriction):
     """Turning on the spot is resisted, too."""
 
     name, law, law_text = "torsional_friction", r"\mu_t\,N", "a torque of coefficient N against turning on the spot"
     noun = "Torsional friction"
-    parameters = (EffectParameter("coefficient", "m", positive=True),)
-    complexity = 2
+    part, directions, share = 1, 4, 0.2
 
-    def priors(self, typical):
-        """A fraction of the body's size."""
-        return {"coefficient": Prior("Normal", {"loc": 0.0, "scale": 0.2 * typical.span})}
 
-    def changed(self, p, friction, solref, dim, xp):
-        """Adds to the turning part; a contact of four directions has one."""
-        turning = friction[..., 1:2] + xp.maximum(p["coefficient"][..., None], 0.0)
-        return xp.concatenate([friction[..., :1], turning, friction[..., 2:]], -1), solref, xp.maximum(dim, 4)
+class RollingFriction(TurningFriction):
+    """Rolling is resisted, too."""
+
+    name, law, law_text = "rolling_friction", r"\mu_r\,N", "a torque of coefficient N against rolling"
+    noun = "Rolling friction"
+    part, directions, share = 2, 6, 0.1
 
 
 class SolrefEffect(ContactEffect):
