@@ -9,7 +9,7 @@ import argparse
 import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import import_module, util
+from importlib import util
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,10 @@ from two_samples_jax import c2st
 
 from det2stoc_bayes.blind.proof import revision
 from det2stoc_bayes.inference._flow import ConditionalFlow, train
-from det2stoc_bayes.models._vector_problem import VectorProblem
-from det2stoc_bayes.psis import effective_draws, reliable, resampled, smooth
+from det2stoc_bayes.inference._vectors import refined
+from det2stoc_bayes.models import vector_problem
+from det2stoc_bayes.psis import reliable
+from det2stoc_bayes.vector_problem import VectorProblem
 
 LOG = Path(__file__).parent / "results" / "compare_sbi.jsonl"
 PROBLEMS = ("two_moons", "slcp", "gaussian_linear")
@@ -32,11 +34,6 @@ PUBLISHED = {  # mean C2ST of NPE, by the number of simulations
     "two_moons": (0.725, 0.606, 0.542),
     "slcp": (0.975, 0.901, 0.831),
 }
-
-
-def problem_named(name: str) -> VectorProblem:
-    """A problem of `det2stoc_bayes.models`."""
-    return import_module(f"det2stoc_bayes.models.{name}").PROBLEM
 
 
 def files_of(name: str, observation: int) -> Path:
@@ -52,24 +49,14 @@ def table(path: Path) -> np.ndarray:
     return np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
 
 
-def refined(
-    problem: VectorProblem, flow: ConditionalFlow, x: np.ndarray, key: jax.Array, random: np.random.Generator
-) -> tuple[np.ndarray, dict[str, float]]:
-    """z resampled by Pareto-smoothed weights of the exact likelihood, and what the weights say."""
-    z = flow.sample(key, x, NUM_PROPOSED)
-    log_weights, k_hat = smooth(problem.log_density(z, x) - flow.log_density(z, x))
-    weights = np.exp(log_weights)
-    told = {"k_hat": round(k_hat, 3), "effective": round(effective_draws(weights), 1)}
-    return z[resampled(weights, NUM_DRAWS, random)], told
-
-
 def judged(problem: VectorProblem, flow: ConditionalFlow, observation: int, seed: int) -> dict[str, float]:
     """C2ST against the reference of one observation, draws in theta as the benchmark has them."""
     folder = files_of(problem.name, observation)
     x = table(folder / "observation.csv")[0]
     reference = table(folder / "reference_posterior_samples.csv.bz2").astype(np.float32)
     own, other = jax.random.split(jax.random.fold_in(jax.random.key(seed), observation))
-    draws, told = refined(problem, flow, x, other, np.random.default_rng([seed, observation]))
+    draws, k_hat, effective = refined(problem, flow, x, other, NUM_DRAWS, NUM_PROPOSED)
+    told = {"k_hat": round(k_hat, 3), "effective": round(effective, 1)}
     ways = {"npe": flow.sample(own, x, NUM_DRAWS), "npe+psis": draws}
     scores = {way: c2st(reference, problem.constrained(z).astype(np.float32)) for way, z in ways.items()}
     return {way: round(value, 4) for way, value in scores.items()} | told
@@ -77,7 +64,7 @@ def judged(problem: VectorProblem, flow: ConditionalFlow, observation: int, seed
 
 def line(name: str, budget: int, seed: int) -> dict[str, Any]:
     """One training and its ten observations."""
-    problem = problem_named(name)
+    problem = vector_problem(name)
     z, x = problem.draw(budget, np.random.default_rng([seed, budget]))
     began = time.perf_counter()
     flow = train(z, x, jax.random.key(seed))

@@ -26,13 +26,14 @@ if TYPE_CHECKING:
     from det2stoc_bayes.inference._stochastic import StochasticSimulator
     from det2stoc_bayes.randomization import export
     from det2stoc_bayes.study import load_study as load
-    from det2stoc_bayes.verbs import calibrate, compare, diagnose, fit, learned_simulator
+    from det2stoc_bayes.verbs import compare, diagnose, fit, learned_simulator
+    from det2stoc_bayes.verbs_calibrate import calibrate
 
 # Looked up at first use, so that `import det2stoc_bayes` and `det2stoc --help` wait for no library.
 _LAZY = {
     "StochasticEnv": "det2stoc_bayes.inference._environment:StochasticEnv",
     "StochasticSimulator": "det2stoc_bayes.inference._stochastic:StochasticSimulator",
-    "calibrate": "det2stoc_bayes.verbs:calibrate",
+    "calibrate": "det2stoc_bayes.verbs_calibrate:calibrate",
     "check": "det2stoc_bayes.identifiability:check",
     "compare": "det2stoc_bayes.verbs:compare",
     "diagnose": "det2stoc_bayes.verbs:diagnose",

@@ -38,6 +38,10 @@ KINDS = ("a study's folder", *PROBLEMS)
 StudyOrProblem = Annotated[
     str, typer.Argument(metavar="STUDY|PROBLEM", help=f"One of: {listing(KINDS)}.", show_default=False)
 ]
+AnyProblem = Annotated[
+    str,
+    typer.Argument(metavar="STUDY|PROBLEM", help=f"One of: {listing((*KINDS, *VECTORS), 9)}.", show_default=False),
+]
 Seed = Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Everything random follows from it.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
 Jobs = Annotated[int, typer.Option(min=0, help="Processes, of one simulation thread each; 0: one a core.")]
@@ -146,7 +150,7 @@ def compare(
 
 @app.command()
 def calibrate(
-    problem: StudyOrProblem,
+    problem: AnyProblem,
     method: Annotated[
         str, typer.Option(metavar="NAME", help="An inference method; svi+psis for a refined one.", show_default=False)
     ],
@@ -167,14 +171,14 @@ def calibrate(
     """Test whether a method's posteriors hold the truth as often as they say; goes on where it was interrupted."""
     with reporting(debug) as stages:
         check_folder(out, "replications.jsonl", "report.html", "calibration.json")
-        from det2stoc_bayes import calibration, tables, verbs
+        from det2stoc_bayes import calibration, tables, verbs_calibrate
         from det2stoc_bayes.files import atomic_write
         from det2stoc_bayes.mismatch.finding import plain
         from det2stoc_bayes.report.calibration_page import calibration_page
 
         options = {"seed": seed, "engine": engine, "num_samples": num_samples, "jobs": jobs, "cluster": cluster}
         options |= {"num_replications": num_replications, "progress": stages}
-        found = verbs.calibrate(_study_or_problem(problem), method, out, **options)
+        found = verbs_calibrate.calibrate(_study_or_problem(problem, VECTORS), method, out, **options)
         told = calibration.to_json(found)
         atomic_write(out / "report.html", calibration_page(found))
         atomic_write(out / "calibration.json", json.dumps(plain(told), indent=2))
@@ -261,18 +265,18 @@ def effects(seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None
     show(tables.effects_json(CATALOGUE) if as_json else tables.effects_table(CATALOGUE), as_json)
 
 
-def _study_or_problem(given: str) -> "det2stoc_bayes.study.Study | str":
-    """A study that is read, or the name of a problem; a folder goes before a problem of its name."""
+def _study_or_problem(given: str, more: tuple[str, ...] = ()) -> "det2stoc_bayes.study.Study | str":
+    """A study that is read, or the name of a problem (of `more`, too); a folder goes before a problem of its name."""
     from det2stoc_bayes.suggestions import choices
 
     if not given:
-        raise Det2StocError(f"the study: found nothing; {choices(given, KINDS)}")
+        raise Det2StocError(f"the study: found nothing; {choices(given, (*KINDS, *more))}")
     if Path(given).exists() or len(Path(given).parts) > 1:
         return _load(Path(given))
-    if given in VECTORS:
+    if given in VECTORS and not more:
         raise no_study(given)
-    if given not in PROBLEMS:
-        raise Det2StocError(f"{given}: no such folder or problem; {choices(given, KINDS)}")
+    if given not in (*PROBLEMS, *more):
+        raise Det2StocError(f"{given}: no such folder or problem; {choices(given, (*KINDS, *more))}")
     return given
 
 

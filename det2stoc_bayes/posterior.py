@@ -4,7 +4,7 @@ import json
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
@@ -132,6 +132,22 @@ def _attributes(problem: Problem, method: str, options: Mapping[str, Any], seed:
         "simulations": cost.simulations,
         "gradients": cost.gradients,
     }
+
+
+def build_vectors(
+    names: Sequence[str],
+    theta: Float[np.ndarray, "chain draw size"],
+    z: Float[np.ndarray, "chain draw size"],
+    **attributes: Any,
+) -> xr.DataTree:
+    """The DataTree of draws of a problem of vectors, which has no recordings; `attributes` are told as they are."""
+    lead = ("chain", "draw")
+    posterior = {name: (lead, theta[..., k]) for k, name in enumerate(names)}
+    unconstrained = xr.Dataset({"z": ((*lead, "unknown"), z)}, {"unknown": list(names)})
+    groups = {"posterior": xr.Dataset(posterior), "unconstrained_posterior": unconstrained}
+    tree = xr.DataTree.from_dict(groups | {"sample_stats": xr.Dataset()})
+    tree.attrs = {"simulations": 0, "seconds_run": 0.0} | attributes
+    return tree
 
 
 def build_predictive(

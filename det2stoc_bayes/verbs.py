@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from det2stoc_bayes.errors import MethodNotApplicable, SamplingFailed, SimulationDiverged, listing
 from det2stoc_bayes.files import check_files
-from det2stoc_bayes.problem import Problem, make_problem
+from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
 
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray
 
-    from det2stoc_bayes.calibration import Calibration, Replicate
     from det2stoc_bayes.compare import Comparison, Kind, Reference
-    from det2stoc_bayes.engines.base import Start
     from det2stoc_bayes.inference._stochastic import StochasticSimulator
     from det2stoc_bayes.mismatch.diagnose import Diagnosis
 
@@ -84,7 +82,7 @@ def compare(
 
     if not methods:
         raise MethodNotApplicable(f"--methods: none is named; allowed: some of {listing(METHODS)}, separated by commas")
-    chosen = [_method(label, "--methods") for label in dict.fromkeys(methods)]
+    chosen = [chosen_method(label, "--methods") for label in dict.fromkeys(methods)]
     study, reference = (problem, None) if isinstance(problem, Study) else _known(problem, Path(out), seed)
     made = {"content": Simulator(study).fingerprint, "version": version("det2stoc-bayes")}
     tasks: dict[str, tuple[str, dict[str, Any]]] = {}
@@ -144,91 +142,6 @@ def _silent(stage: str, done: int, total: int) -> None:
     """Progress within a task that another process does is not shown."""
 
 
-def calibrate(
-    problem: Study | str,
-    method: str,
-    out: str | os.PathLike[str],
-    *,
-    seed: int = 0,
-    engine: str = "c",
-    num_replications: int = 500,
-    num_samples: int = 200,
-    jobs: int = 0,
-    cluster: str | None = None,
-    progress: Callable[[str, int, int], None] = lambda *_: None,
-) -> "Calibration":
-    """Whether a method's posteriors hold the truth as often as they say, on a study or a problem of `models`.
-
-    Replications that `out` holds are not done again. Results follow from `seed`, whatever does the work: `jobs`
-    processes (0: one a core), or the workers of the Dask scheduler `cluster`.
-    """
-    from det2stoc_bayes.calibration import Experiment, judge, run
-    from det2stoc_bayes.executors import finished, workers
-    from det2stoc_bayes.inference import NO_POSTERIOR, get_method
-    from det2stoc_bayes.replication import fitted_start
-
-    label, name, options = _method(method, "--method")
-    if name in NO_POSTERIOR:
-        raise MethodNotApplicable(f"--method: {name} infers no posterior; allowed: a method that does, as nuts")
-    posed = partial(_posed, problem, engine)
-    believed, once = posed(), hasattr(get_method(name), "train")
-    made = {"content": believed.simulator.fingerprint, "version": version("det2stoc-bayes"), "method": label}
-    made |= {"seed": seed, "engine": engine, "num_samples": num_samples}
-    with workers(jobs, cluster, progress, most=num_replications) as executor:
-
-        def prepare() -> Experiment:
-            progress("fitting where the recordings begin", 0, 1)
-            start, fit = fitted_start(believed), partial(_fitted, name, options)
-            progress("fitting where the recordings begin", 1, 1)
-            if once:
-                progress(f"training {name}", 0, 1)
-                ((_, trained),) = finished(executor, partial(_trained, name, posed), [seed])
-                fit = partial(_applied, name, trained(), options)
-                progress(f"training {name}", 1, 1)
-            return Experiment(partial(_replicator, posed, start), fit, seed, num_samples)
-
-        path = Path(out) / "replications.jsonl"
-        every = run(prepare, num_replications, executor, path, made, lambda done, of: progress("calibrating", done, of))
-    called = problem if isinstance(problem, str) else problem.name
-    return judge(every, problem=called, method=label, trained_once=once, seed=seed)
-
-
-def _posed(source: Study | str, engine: str) -> Problem:
-    """A study's problem or one of `models`, which one thread simulates."""
-    from det2stoc_bayes.models import get_problem
-    from det2stoc_bayes.replication import bare
-
-    if isinstance(source, str):
-        return bare(get_problem(source, engine=engine, num_threads=1))
-    return bare(make_problem(Simulator(source, engine, num_threads=1)))
-
-
-def _replicator(posed: Callable[[], Problem], start: "Start") -> "Replicate":
-    from det2stoc_bayes.replication import replicate
-
-    return partial(replicate, posed(), start)
-
-
-def _fitted(name: str, options: Mapping[str, Any], problem: Problem, key: int, *, num_samples: int) -> Any:
-    from det2stoc_bayes.inference import get_method
-
-    return get_method(name).fit(problem, key, num_samples=num_samples, **options)
-
-
-def _trained(name: str, posed: Callable[[], Problem], seed: int) -> Any:
-    from det2stoc_bayes.inference import get_method
-
-    return get_method(name).train(posed(), seed)
-
-
-def _applied(
-    name: str, trained: Any, options: Mapping[str, Any], problem: Problem, key: int, *, num_samples: int
-) -> Any:
-    from det2stoc_bayes.inference import get_method
-
-    return get_method(name).apply(trained, problem, key, num_samples=num_samples, **options)
-
-
 def _kind(name: str) -> "Kind":
     """What a method's draws are."""
     from det2stoc_bayes.inference import EXACT, NO_POSTERIOR
@@ -236,7 +149,7 @@ def _kind(name: str) -> "Kind":
     return "exact" if name in EXACT else "no posterior" if name in NO_POSTERIOR else "approximate"
 
 
-def _method(label: str, option: str) -> tuple[str, str, dict[str, str]]:
+def chosen_method(label: str, option: str) -> tuple[str, str, dict[str, str]]:
     """A label as it is, the method that it names, and that method's options; `option` is where it was given."""
     from det2stoc_bayes.inference import get_method
 

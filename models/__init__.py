@@ -1,7 +1,7 @@
 """Systems by name: one module a system; those that pose an inference problem have `record(folder)`.
 
 It writes the problem as a study's folder. A module whose posterior is known has `closed_form(problem)`, too. Problems
-of vectors, which have no recordings and no MJCF, are a `PROBLEM`: benchmarks alone ask for them.
+of vectors, which have no recordings and no MJCF, are a `PROBLEM`: for calibration and benchmarks.
 """
 
 from importlib import import_module
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from det2stoc_bayes.problem import Problem
+    from det2stoc_bayes.vector_problem import VectorProblem
 
     type Gaussian = tuple[Float[np.ndarray, " size"], Float[np.ndarray, "size size"]]
 
@@ -29,8 +30,15 @@ MODELS: tuple[str, ...] = tuple(sorted(m.name for m in iter_modules(__path__) if
 
 def no_study(name: str) -> Det2StocError:
     """That a problem has no recordings to fit."""
-    said = f"{name}: is a problem of vectors, which has no recordings: `make compare-sbi` runs it"
+    said = (
+        f"{name}: is a problem of vectors, which has no recordings: `make compare-sbi` and `det2stoc calibrate` run it"
+    )
     return Det2StocError(f"{said}; allowed here: a study's folder, {listing(PROBLEMS)}")
+
+
+def vector_problem(name: str) -> "VectorProblem":
+    """A problem of VECTORS."""
+    return import_module(f"{__name__}.{name}").PROBLEM
 
 
 def record(name: str, folder: Path) -> Path:

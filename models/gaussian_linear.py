@@ -5,8 +5,8 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.models._vector_problem import VectorProblem
 from det2stoc_bayes.priors import Prior
+from det2stoc_bayes.vector_problem import VectorProblem
 
 SIZE, VARIANCE = 10, 0.1  # of the prior, and of x about theta
 

@@ -14,6 +14,7 @@ EDGE = (
     "cli_blind.py",
     "streams.py",
     "verbs.py",
+    "verbs_calibrate.py",
     "tables.py",
     "__main__.py",
 )  # the outermost layer, which may know everything

@@ -14,7 +14,7 @@ from multiprocessing import active_children
 
 import pytest
 
-from det2stoc_bayes import executors, verbs
+from det2stoc_bayes import executors, verbs, verbs_calibrate
 from det2stoc_bayes.blind import proof
 from det2stoc_bayes.blind.conceal import ConcealedCase
 from det2stoc_bayes.blind.draw import Choice
@@ -193,7 +193,9 @@ def lines(out):
 
 
 def test_a_cluster_with_a_worker_killed_in_the_middle_finds_the_same(cluster, tmp_path):
-    calibrate = partial(verbs.calibrate, "linear_gaussian", "laplace", num_replications=NUM_REPLICATIONS, seed=4)
+    calibrate = partial(
+        verbs_calibrate.calibrate, "linear_gaussian", "laplace", num_replications=NUM_REPLICATIONS, seed=4
+    )
     seen = []
 
     def watch(stage, done, total):

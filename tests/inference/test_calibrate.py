@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from det2stoc_bayes import cli, verbs
-from det2stoc_bayes.inference import _surrogate, det2stoc, get_method
+from det2stoc_bayes import cli, verbs_calibrate
+from det2stoc_bayes.errors import MethodNotApplicable
+from det2stoc_bayes.inference import _surrogate, _vectors, det2stoc, get_method
 from det2stoc_bayes.models import get_problem, linear_gaussian
 from det2stoc_bayes.replication import bare, fitted_start, replicate
 
@@ -95,7 +97,19 @@ def test_a_method_that_learns_once_does_so_for_all_replications(monkeypatch, tmp
     monkeypatch.setattr(det2stoc, "train", train)
     monkeypatch.setattr(det2stoc, "apply", apply)
     options = {"num_replications": 2, "jobs": 1, "seed": 9}
-    found = verbs.calibrate("linear_gaussian", "det2stoc", tmp_path, **options)
+    found = verbs_calibrate.calibrate("linear_gaussian", "det2stoc", tmp_path, **options)
     assert found.trained_once and counted == [9]
-    assert verbs.calibrate("linear_gaussian", "det2stoc", tmp_path, **options).verdict == found.verdict
+    assert verbs_calibrate.calibrate("linear_gaussian", "det2stoc", tmp_path, **options).verdict == found.verdict
     assert counted == [9]  # nothing was left to do
+
+
+def test_a_problem_of_vectors_is_calibrated_by_npe_alone(monkeypatch, tmp_path):
+    monkeypatch.setattr(_vectors, "train", partial(_vectors.train, num_simulations=500))
+    options = {"num_replications": 20, "jobs": 1, "seed": 2}
+    found = verbs_calibrate.calibrate("two_moons", "npe+psis", tmp_path, **options)
+    assert [u.name for u in found.unknowns] == ["theta_1", "theta_2"] and found.trained_once and not found.failed
+    assert found.ranks.shape == (20, 2) and all(0.005 < u.sd < 0.9 for u in found.unknowns)  # far from the prior's
+    with pytest.raises(
+        MethodNotApplicable, match="--method: two_moons is a problem of vectors; found nuts; allowed: n"
+    ):
+        verbs_calibrate.calibrate("two_moons", "nuts", tmp_path, **options)

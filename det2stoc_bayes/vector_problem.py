@@ -36,6 +36,11 @@ class VectorProblem(ABC):
     ) -> Float[np.ndarray, " points"]:
         """log p(x | theta)."""
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns."""
+        return tuple(f"theta_{k + 1}" for k in range(self.size))
+
     def constrained(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points size"]:
         """theta from standard normals."""
         return np.stack([p.from_normal(column) for p, column in zip(self.priors, z.T, strict=True)], 1)
@@ -50,6 +55,11 @@ class VectorProblem(ABC):
         """z of the prior, and an x for each."""
         z = random.standard_normal((count, self.size))
         return z, self.simulate(self.constrained(z), random)
+
+    def replicate(self, random: np.random.Generator) -> tuple[Float[np.ndarray, " features"], dict[str, float]]:
+        """One x, and the z behind it by name."""
+        z, x = self.draw(1, random)
+        return x[0], dict(zip(self.names, z[0].tolist(), strict=True))
 
     def log_density(
         self, z: Float[np.ndarray, "points size"], x: Float[np.ndarray, " features"]
