@@ -4,6 +4,7 @@ Candidates come from lists of laws that can imitate one another; whether they do
 refitted, is judged by the concealing side's own refit. A few are exact by theory and have no law here.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -18,6 +19,7 @@ Accepted = dict[str, Any]
 NATS = 1.0  # of log likelihood over the whole study: what less than this tells apart is the same
 OWN = 1.0  # noise sds of an unlisted effect that no listed law may take up
 WORTH_A_REFIT = 0.8  # share of the RMS that may remain to first order
+STEP = ("frequency", "phase")
 IMITATORS = (
     # steady pushes and where things hang
     "constant_force actuator_bias sensor_bias gravity_tilt joint_spring com_offset payload_mass",
@@ -58,7 +60,7 @@ def accepted(rng: np.random.Generator, probe: Probe, effect: Effect, samples: in
     Of a larger family, which contains the effect, none is: it needs more parameters to say the same.
     """
     same_below = float(np.sqrt(2.0 * NATS / samples))
-    rivals = [_small(rng, probe.scene, *place) for place in imitators(probe.scene, effect)]
+    rivals = [_timed_as(effect, _small(rng, probe.scene, *place)) for place in imitators(probe.scene, effect)]
     rivals = [rival for rival in rivals if _num_parameters(rival) <= _num_parameters(effect)]
     first = probe.first()
     shares = linear_share(first, first.with_effects(effect), rivals)
@@ -91,6 +93,12 @@ def _small(rng: np.random.Generator, scene: Scene, name: str, element: str) -> E
     law = LAWS[name]
     drawn = law.draw(rng, scene, element)
     return Effect(name, law.kind, element, law.parameters(0.03 * law.largest(scene, element), drawn))
+
+
+def _timed_as(effect: Effect, rival: Effect) -> Effect:
+    """The rival in step with an effect: from another frequency no fit leads to its own."""
+    same = {key: effect.parameters[key] for key in STEP if key in effect.parameters and key in rival.parameters}
+    return replace(rival, parameters={**rival.parameters, **same})
 
 
 def _num_parameters(effect: Effect) -> int:

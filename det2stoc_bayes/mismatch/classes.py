@@ -13,6 +13,7 @@ from det2stoc_bayes.optimize import Fit
 AGREEMENT = 0.3  # noise sds (rms) within which predictions agree
 SIGMAS = 2.0  # by which the recordings could tell two predictions apart at most: below it nothing is told
 WEAK = 0.01  # of the precision of effects' priors
+FREE = 0.98  # of the prior's variance: a direction of which this much is left is not determined
 LIKELIHOOD = 1.0  # nats within which the best fits agree
 
 
@@ -30,8 +31,9 @@ def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
 
     Members fit equally well and predict alike. Their prior scales are conventions, so it is the likelihood that is
     compared, where the priors of effects are too wide to matter, not the evidence, which those scales enter. A family
-    with more parameters that gains nothing by them counts for the class, but only the smallest are its members; curves
-    over other variables are no such families, and are all members.
+    with more parameters that gains nothing by them counts for the class, but only the smallest are its members, those
+    parameters counted that the recordings determine: on one slide a tilt is one number. Curves over other variables
+    are no such families, and are all members.
     """
     left = list(slot.ranked)
     chance = dict(zip((id(r) for r in left), _chances(slot, num_candidates), strict=True))
@@ -41,11 +43,12 @@ def classes(slot: Slot, num_candidates: int, share: float) -> list[Class]:
         alike = [r for r in left if r is best or _alike(best, r, share)]
         left = [r for r in left if not any(r is m for m in alike)]
         listed = [r for r in alike if r.placed.effect.listed]
-        smallest = min(r.placed.size for r in listed or alike)
+        sizes = {id(r): determined(r) for r in alike}
+        smallest = min(sizes[id(r)] for r in listed or alike)
         fewest = min(r.placed.effect.complexity for r in alike)
         members = sorted(
-            (r for r in alike if (r.placed.size == smallest if listed else r.placed.effect.complexity == fewest)),
-            key=lambda r: r.placed.effect.complexity,
+            (r for r in alike if (sizes[id(r)] == smallest if listed else r.placed.effect.complexity == fewest)),
+            key=lambda r: (r.placed.size, r.placed.effect.complexity),
         )
         found.append(Class(tuple(members), tuple(alike), float(sum(chance[id(r)] for r in alike))))
     return sorted(found, key=lambda c: -c.probability)
@@ -75,14 +78,32 @@ def _alike(a: Ranked, b: Ranked, share: float) -> bool:
     return float(np.sqrt(np.nanmean(apart))) < AGREEMENT
 
 
+def determined(ranked: Ranked) -> int:
+    """Of how many directions of the addition's parameters the recordings say anything, the others being free."""
+    problem = ranked.fit.problem
+    before = problem.effects[: problem.effects.index(ranked.placed)]
+    begin = problem.num_psi + sum(e.size for e in before)
+    own = slice(begin, begin + ranked.placed.size)
+    covariance = np.linalg.inv(_gram(ranked.fit, _columns(ranked.fit)) + np.eye(problem.size))[own, own]
+    return int((np.linalg.eigvalsh(covariance) < FREE).sum())
+
+
 def _unbound(fit: Fit) -> tuple[Float[np.ndarray, "segments samples columns"], float]:
     """Whitened residuals and chi2, to first order, where the effects' priors are ten times as wide."""
-    left, first = whitened(fit), fit.problem.num_psi
-    columns = fit.linear.latent.project(fit.linear.columns)[:, : fit.problem.weight.shape[1]]
-    columns = np.where(np.isfinite(left).reshape(*columns.shape[:2], 1), columns, 0.0)
+    left, first, columns = whitened(fit), fit.problem.num_psi, _columns(fit)
     precision = np.eye(fit.problem.size)
     precision[first:, first:] *= WEAK
-    gram = np.einsum("snk,snl->kl", columns, columns) / max(fit.noise_scale, 1.0)
     pull = np.where(np.arange(fit.problem.size) < first, 0.0, (1 - WEAK) * fit.point.z)
-    moved = left - (columns @ np.linalg.solve(gram + precision, pull)).reshape(left.shape)
+    moved = left - (columns @ np.linalg.solve(_gram(fit, columns) + precision, pull)).reshape(left.shape)
     return moved, float(fit.chi2 + np.nansum(moved**2) - np.nansum(left**2))
+
+
+def _columns(fit: Fit) -> Float[np.ndarray, "segments values size"]:
+    """Sensitivities of the whitened residuals; 0 where nothing was recorded."""
+    columns = fit.linear.latent.project(fit.linear.columns)[:, : fit.problem.weight.shape[1]]
+    return np.where(np.isfinite(whitened(fit)).reshape(*columns.shape[:2], 1), columns, 0.0)
+
+
+def _gram(fit: Fit, columns: Float[np.ndarray, "segments values size"]) -> Float[np.ndarray, "size size"]:
+    """What the recordings say of the unknowns, in units of the prior's precision."""
+    return np.einsum("snk,snl->kl", columns, columns) / max(fit.noise_scale, 1.0)

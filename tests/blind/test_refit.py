@@ -79,12 +79,16 @@ def test_a_pair_has_two_effects_that_stay():
     assert not clash(("coulomb_friction", "pivot"), ("cubic_stiffness", "pivot"))
 
 
+SHAKEN = Effect("base_vibration", "world", "world", {"amplitude": [0.01, 0.005, 0.02], "frequency": 2.1, "phase": 2.3})
+
+
 @pytest.mark.parametrize(
     ("name", "effect", "rival"),
     [
         ("pendulum", Effect("quadratic_drag", "body", "rod", {"coefficient": 0.2}), "quadratic_damping"),
         ("slider", Effect("sensor_bias", "sensor", "qpos/rail", {"offset": 0.02}), "constant_force"),
         ("slider", Effect("constant_force", "joint", "rail", {"force": 0.8}), "gravity_tilt"),
+        ("slider", SHAKEN, "periodic_force"),
         ("pendulum", Effect("actuator_bias", "actuator", "drive", {"offset": 0.05}), "constant_force"),
     ],
 )

@@ -7,11 +7,12 @@ import pytest
 from simulated import fit, place, spring_problem
 
 from det2stoc_bayes.mismatch import crossed
-from det2stoc_bayes.mismatch.classes import classes
+from det2stoc_bayes.mismatch.classes import classes, determined
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_evidence, probabilities
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 
+PUSHES = (("constant_force", "slide"), ("gravity_tilt", "world"), ("joint_spring", "slide"))
 SMALL = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
 
 
@@ -86,15 +87,21 @@ def test_a_difference_in_prediction_parts_them(slot):
     assert found >= {("quadratic_damping",), ("quadratic_drag",)}
 
 
-def test_more_parameters_that_gain_nothing_count_for_the_smaller(slot):
-    problem = slot.base.problem
-    spring = place(problem, "joint_spring", "slide", SMALL)
-    one = slot.ranked[0]
-    twin = Ranked(spring, one.fit, one.gain)  # told to predict alike
-    for ranked in ((one, twin), (twin, one)):
-        (only,) = classes(replace(slot, ranked=ranked), 20, 1.0)
-        assert [m.placed for m in only.members] == [one.placed]
-        assert {r.placed for r in only.alike} == {one.placed, spring}
+def test_parameters_that_gain_nothing_part_them_if_recordings_determine_these(tmp_path):
+    """A push on a slide: a tilt is one number there, a spring with a middle of its own is two."""
+
+    def push(model, data):
+        data.qfrc_applied[0] = 0.3
+
+    problem = spring_problem(tmp_path, push=push, noise=1e-3)
+    base = fit(problem)
+    places = [place(problem, n, e, SMALL) for n, e in PUSHES]
+    fits = [fit(problem.with_effects([placed])) for placed in places]
+    ranked = [Ranked(p, f, log_evidence(f) - log_evidence(base)) for p, f in zip(places, fits, strict=True)]
+    assert [determined(r) for r in ranked] == [1, 1, 2]
+    only, *others = classes(Slot(base, (), tuple(ranked)), 20, 1.0)
+    assert names(only) == ["constant_force", "gravity_tilt"] and not others
+    assert {r.placed.effect.name for r in only.alike} == {name for name, _ in PUSHES}
 
 
 def test_nothing_ranked_is_no_class(slot):
