@@ -33,6 +33,7 @@ def blind(
     studies: Annotated[int | None, _count("Of all kinds, for those without a number; 20 if none has one.")] = None,
     effects: Annotated[int | None, _count("Studies that conceal one effect.")] = None,
     pairs: Annotated[int | None, _count("Studies that conceal two.")] = None,
+    triples: Annotated[int | None, _count("Studies that conceal three.")] = None,
     controls: Annotated[int | None, _count("Studies that conceal nothing.")] = None,
     short_controls: Annotated[int | None, _count("The same with three short recordings.")] = None,
     contact: Annotated[int | None, _count("Studies that conceal an effect where bodies touch.")] = None,
@@ -70,7 +71,7 @@ def blind(
         if seed is not None and not re.fullmatch("[0-9a-fA-F]{1,40}", seed):
             raise Det2StocError(f"--seed: found '{seed}'; allowed: 1 to 40 hexadecimal digits")
         given = {"effect": effects, "pair": pairs, "control": controls, "short_control": short_controls}
-        given |= {"contact": contact, "contact_control": contact_controls, "unlisted": unlisted}
+        given |= {"triple": triples, "contact": contact, "contact_control": contact_controls, "unlisted": unlisted}
         counts = {kind: number for kind, number in given.items() if number is not None}
         if rescore is not None:
             lines, told = _logged(rescore, seed), {"log": str(rescore)}

@@ -18,7 +18,7 @@ from det2stoc_bayes.blind.sizing import (
     LARGEST,
     SMALLEST,
     Found,
-    both_kept,
+    all_kept,
     clash,
     combinations,
     draw_size,
@@ -58,8 +58,8 @@ def make_case(
     *,
     system: str | None = None,
     effect: str | None = None,
-    second: str | None = None,
-    pair: bool = False,
+    others: tuple[str, ...] = (),
+    count: int = 1,
     size: float | None = None,
     control: bool = False,
     variants: tuple[str, ...] = (),
@@ -68,13 +68,14 @@ def make_case(
 ) -> ConcealedCase:
     """A case drawn from the seed; what is given is kept. `size` is in noise sds; a control conceals nothing.
 
-    `pair` conceals two effects, `second` names the other one. Raises ValueError for a name that is not known,
-    and where no draw gives an effect of 3 to 30 noise sds that psi, and the other effect, cannot absorb.
+    `count` effects are concealed at once, `others` names those beside `effect`. Raises ValueError for a name that is
+    not known, and where no draw gives effects of 3 to 30 noise sds that psi, and the other ones, cannot absorb.
     """
-    for given, known in ((system, SYSTEMS), (effect, NAMES), (second, NAMES)):
+    for given, known in ((system, SYSTEMS), *((name, NAMES) for name in (effect, *others))):
         if given is not None and given not in known:
             raise ValueError(f"{given!r} is not known; there are {', '.join(known)}")
-    if INTEGRATION in (effect, second) and (pair or second):
+    count = 0 if control else max(count, 1 + len(others))
+    if INTEGRATION in (effect, *others) and count > 1:
         raise ValueError(f"{INTEGRATION} is concealed alone")
     if num_recordings < 1 or (num_samples is not None and num_samples < FEWEST_SAMPLES):
         found = f"{num_recordings} recordings of {num_samples} samples"
@@ -82,7 +83,7 @@ def make_case(
     if size is not None and not SMALLEST <= size <= LARGEST:
         raise ValueError(f"size {size:g}; allowed: {SMALLEST:g} to {LARGEST:g} noise sds")
     rng = np.random.default_rng([seed, 20261])
-    wanted = [] if control else [effect, second] if pair or second else [effect]
+    wanted = [effect, *others, *[None] * count][:count]
     options = [SYSTEMS[system]] if system else [s for s in SYSTEMS.values() if set(variants) <= set(possible(s))]
     for _ in range(ATTEMPTS):
         setting = choose(rng, options[rng.integers(len(options))], variants)
@@ -120,7 +121,7 @@ def _draw(rng: np.random.Generator, probe: Probe, wanted: list[str | None], size
             if one is None or (LAWS[pick[0]].variables and on_a_list(rng, probe, one.effect, one.size)):
                 break
             found.append(one)
-        if len(found) == len(wanted) and (len(found) < 2 or both_kept(probe, *found)):
+        if len(found) == len(wanted) and (len(found) < 2 or all_kept(probe, found)):
             return found
     return None
 
@@ -166,9 +167,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--system", choices=list(SYSTEMS))
-    parser.add_argument("--effect", choices=NAMES)
-    parser.add_argument("--effect2", choices=NAMES, help="a second effect at once")
-    parser.add_argument("--pair", action="store_true", help="two effects at once")
+    parser.add_argument("--effect", choices=NAMES, action="append", default=[], help="may be repeated")
+    parser.add_argument("--count", type=int, choices=(1, 2, 3), default=1, help="effects at once")
     parser.add_argument("--size", type=float, help="in noise sds that psi cannot absorb")
     parser.add_argument("--control", action="store_true", help="conceal nothing")
     parser.add_argument("--variant", action="append", choices=list(VARIANTS), default=[], help="may be repeated")
@@ -183,9 +183,9 @@ def main(arguments: list[str] | None = None) -> int:
         case = make_case(
             a.seed,
             system=a.system,
-            effect=a.effect,
-            second=a.effect2,
-            pair=a.pair,
+            effect=next(iter(a.effect), None),
+            others=tuple(a.effect[1:]),
+            count=a.count,
             size=a.size,
             control=a.control,
             variants=tuple(a.variant),

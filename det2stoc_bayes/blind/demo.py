@@ -27,7 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--system", choices=list(SYSTEMS))
     parser.add_argument("--effect", choices=list(LAWS))
     parser.add_argument("--control", action="store_true", help="conceal nothing")
-    parser.add_argument("--pair", action="store_true", help="conceal two effects")
+    parser.add_argument("--count", type=int, choices=(1, 2, 3), default=1, help="effects that are concealed at once")
     parser.add_argument("--variant", action="append", choices=list(VARIANTS), default=[], help="may be repeated")
     a = parser.parse_args(arguments)
     console = Console()
@@ -35,7 +35,9 @@ def main(arguments: list[str] | None = None) -> int:
     folder = a.out / f"demo-{seed}"
     study, diagnosis_folder = folder / "study", folder / "diagnosis"
     console.print(f"[bold]Seed {seed}[/bold]: concealing an effect in a study under {study} ...")
-    case = make_case(seed, system=a.system, effect=a.effect, pair=a.pair, control=a.control, variants=tuple(a.variant))
+    case = make_case(
+        seed, system=a.system, effect=a.effect, count=a.count, control=a.control, variants=tuple(a.variant)
+    )
     case.write(study)
     console.print(f"The study has {len(case.study_files)} files; the answer is in this process's memory only.\n")
     command = [sys.executable, "-m", "det2stoc_bayes", "diagnose", str(study), "--out", str(diagnosis_folder)]

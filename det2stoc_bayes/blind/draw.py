@@ -38,7 +38,7 @@ class Kind:
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "effect": Kind(0, named=True),
-        "pair": Kind(1, MappingProxyType({"pair": True})),
+        "pair": Kind(1, MappingProxyType({"count": 2})),
         "control": Kind(2, MappingProxyType({"control": True})),
         "short_control": Kind(3, SHORT),
         "contact": Kind(4, systems=TOUCHING, variants=("positions_only", "varying_psi")),
@@ -46,6 +46,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             5, MappingProxyType({"control": True}), systems=TOUCHING, variants=("positions_only", "varying_psi")
         ),
         "unlisted": Kind(6, MappingProxyType({"effect": UNLISTED})),
+        "triple": Kind(7, MappingProxyType({"count": 3})),
     }
 )
 MIXTURE = MappingProxyType(  # of 60

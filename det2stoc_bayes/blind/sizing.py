@@ -1,6 +1,6 @@
 """How large a concealed effect is made: by what psi and the initial states cannot absorb of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ SMALLEST, LARGEST = 3.0, 30.0  # RMS in noise sds that remains of an effect afte
 FIRST_ORDER = 0.03  # of a slight effect's change: where less remains, psi is the same thing
 WITHIN = 0.1  # of the wanted size, relatively
 REFITS, TRIALS = 3, 10  # at most, for one size
-KEPT = 1.5  # RMS in noise sds that the other effect of a pair must leave of each
+KEPT = 1.5  # RMS in noise sds that effects at once must leave of each other
 COARSE = (0.0025, 0.005, 0.01, 0.015, 0.02)  # believed timesteps when the integration is what is wrong
 FLAT = 0.3  # noise sds: a component of a vector of which less remains is not asked for
 
@@ -135,12 +135,13 @@ def clash(first: tuple[str, str], second: tuple[str, str]) -> bool:
     return first == second or INTEGRATION in (first[0], second[0]) or same_place
 
 
-def both_kept(probe: Probe, first: Found, second: Found) -> bool:
-    """Whether neither effect can be absorbed by the other one together with psi."""
-    changed = probe.with_effects(first.effect, second.effect)
+def all_kept(probe: Probe, found: Sequence[Found]) -> bool:
+    """Whether no effect can be absorbed by the other ones together with psi."""
+    effects = [f.effect for f in found]
+    changed = probe.with_effects(*effects)
     if not np.isfinite(probe.change(changed)):
         return False
-    return all(refit(probe, changed, [rival.effect]).left >= KEPT for rival in (first, second))
+    return all(refit(probe, changed, [e for e in effects if e is not one]).left >= KEPT for one in reversed(effects))
 
 
 def judged_components(probe: Probe, effect: Effect) -> dict[str, list[int]]:

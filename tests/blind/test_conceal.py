@@ -28,7 +28,14 @@ def case():
 
 @pytest.fixture(scope="module")
 def pair():
-    return make_case(3, system="pendulum", effect="coulomb_friction", second="cubic_stiffness", **SHORT)
+    return make_case(3, system="pendulum", effect="coulomb_friction", others=("cubic_stiffness",), **SHORT)
+
+
+@pytest.mark.long
+def test_three_effects_at_once_are_all_needed():
+    found = make_case(5, system="cart_pole", count=3, num_recordings=2, num_samples=60).answer["effects"]
+    assert len({(e["name"], e["element"]["name"]) for e in found}) == 3
+    assert all(3 <= e["size_in_noise_sds"] <= 30 for e in found)
 
 
 def test_a_seed_makes_the_same_case(case):
@@ -128,7 +135,7 @@ def test_unknown_names_are_refused():
     with pytest.raises(ValueError, match="cart_pole"):
         make_case(1, system="rocket")
     with pytest.raises(ValueError, match="alone"):
-        make_case(1, system="slider", effect="numerical_integration", pair=True)
+        make_case(1, system="slider", effect="numerical_integration", count=2)
     with pytest.raises(ValueError, match="3 to 30"):
         make_case(1, size=100.0)
     with pytest.raises(ValueError, match="positions_only"):

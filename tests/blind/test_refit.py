@@ -11,7 +11,7 @@ from det2stoc_bayes.blind.laws import LAWS, Effect
 from det2stoc_bayes.blind.probe import draw_probe
 from det2stoc_bayes.blind.reality import simulate_reality
 from det2stoc_bayes.blind.refit import refit
-from det2stoc_bayes.blind.sizing import KEPT, both_kept, clash, combinations, find, judged_components
+from det2stoc_bayes.blind.sizing import KEPT, all_kept, clash, combinations, find, judged_components
 from det2stoc_bayes.blind.systems import SYSTEMS
 
 
@@ -71,10 +71,10 @@ def test_a_pair_has_two_effects_that_stay():
     stribeck = find(rng, probe, ("stribeck_friction", "pivot"), 8.0)
     stiffening = find(rng, probe, ("cubic_stiffness", "pivot"), 8.0)
     assert friction and stribeck and stiffening
-    assert both_kept(probe, friction, stiffening)
+    assert all_kept(probe, [friction, stiffening])
     both = probe.with_effects(friction.effect, stribeck.effect)
     assert refit(probe, both, [stribeck.effect]).left < KEPT
-    assert not both_kept(probe, friction, stribeck)
+    assert not all_kept(probe, [friction, stribeck])
     assert clash(("actuator_gain", "drive"), ("actuator_bias", "drive"))
     assert not clash(("coulomb_friction", "pivot"), ("cubic_stiffness", "pivot"))
 
