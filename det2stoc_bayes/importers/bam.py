@@ -11,6 +11,7 @@ from det2stoc_bayes.errors import listing
 from det2stoc_bayes.importers.base import Asked, Contents, Log, Signal, SourceError, clock, files, numbers
 
 ABOUT = "JSON logs of Rhoban's bam: position, speed, goal_position, duty, volts (duty times supply voltage)"
+TAKES: tuple[str, ...] = ()
 SETTINGS = {
     "pwm-limit": "counts of full duty, where load is counted (885 of a Dynamixel XL330)",
     "torque": "on: up to where the motor is switched off; all: every row",

@@ -60,28 +60,25 @@ class Contents:
 
 @dataclass(frozen=True)
 class Mapped:
-    """How a column comes from a signal: `scale` times the value in the column's unit, plus `offset` in it.
-
-    `delay` [s]: by how much the value is older than its time stamp. `unit`: the signal's.
-    """
+    """How a column comes from a signal of `unit`: `scale` times its value in the column's unit, plus `offset` in it."""
 
     signal: str
     unit: str | None = None
     scale: float = 1.0
     offset: float = 0.0
-    delay: float = 0.0
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What the user said of a source, by options or a mapping file; `source` names the latter in messages.
+    """What the user said of a source, by options or a mapping file.
 
-    `units`: pattern of columns -> unit. `settings`: a format's own options. `only` and `holdout` are patterns of
-    recordings' names.
+    `units`: pattern of columns -> unit. `delays` [s]: column -> by how much it is older than its stamp. `settings`: a
+    format's own options. `only` and `holdout` are patterns of recordings' names.
     """
 
     columns: Mapping[str, Mapped] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    delays: Mapping[str, float] = field(default_factory=dict)
     clock: str | None = None
     period: float | None = None
     phase: Phase | None = None
@@ -120,9 +117,10 @@ class Asked:
 
 
 class Format(Protocol):
-    """A module of this package: what is read, what it may ask by --set, and how it is read."""
+    """A module of this package: what is read, which of clock and period it takes, what it may ask by --set, and how."""
 
     ABOUT: str
+    TAKES: Sequence[str]
     SETTINGS: Mapping[str, str]
     read: Callable[[Path, Asked, ModelNames], Contents]
 

@@ -48,6 +48,9 @@ def table(
 ) -> tuple[tuple[str, ...], Rows, float, list[str]]:
     """A recording's header and rows (time first, from 0), the time that became 0, and what was done to each column."""
     chosen = assigned(log, asked, names)
+    for column in asked.delays:
+        if column not in chosen:
+            raise SourceError(f"--delay {column}: no such column is imported; {choices(column, chosen, 30)}")
     phase = asked.phase or contents.phase
     if phase is None and any(column.startswith("ctrl/") for column in chosen):
         told = "; ".join(f"{name}: {what}" for name, what in PHASES.items())
@@ -57,13 +60,13 @@ def table(
         signal = log.signals[mapped.signal]
         unit = _unit(column, mapped, signal, asked, names, log.origin)
         size = factor(unit, column, names, f"--unit {column}")
-        time = signal.time - mapped.delay
+        time = signal.time - asked.delays.get(column, 0.0)
         if phase is not None and column.startswith("ctrl/"):
             time, values = _held(time, signal.values, phase)
         else:
             values = signal.values
         parts.append((time, (mapped.scale * size * values + mapped.offset)[:, None]))
-        notes.append(_told(column, mapped, unit, phase))
+        notes.append(_told(column, mapped, unit, asked.delays.get(column, 0.0), phase))
     time, values = merged(parts)
     measured = np.array([not column.startswith("ctrl/") for column in chosen])
     seen = np.flatnonzero(~np.isnan(values[:, measured]).all(axis=1))
@@ -79,8 +82,8 @@ def _unit(column: str, mapped: Mapped, signal: Signal, asked: Asked, names: Mode
     """The unit of a column's signal: of its mapping, then of --unit, then of the file or format."""
     if mapped.unit is not None:
         return mapped.unit
-    matching = [unit for pattern, unit in asked.units.items() if fnmatchcase(column, pattern)]
-    if column in asked.units or matching:
+    matching = [unit for pattern, unit in asked.units.items() if column == pattern or fnmatchcase(column, pattern)]
+    if matching:
         return asked.units.get(column, matching[-1])
     if signal.unit is not None:
         return signal.unit
@@ -113,11 +116,11 @@ def _held_into(values: Rows, controls: np.ndarray, first: int) -> Rows:
     return out
 
 
-def _told(column: str, mapped: Mapped, unit: str, phase: Phase | None) -> str:
+def _told(column: str, mapped: Mapped, unit: str, delay: float, phase: Phase | None) -> str:
     """What was done to a column, for SOURCE.md."""
     told = [f"`{column}` from `{mapped.signal}`, unit {unit}"]
     told += [f"times {mapped.scale:g}"] if mapped.scale != 1 else []
     told += [f"plus {mapped.offset:g}"] if mapped.offset else []
-    told += [f"{mapped.delay:g} s older than its stamp"] if mapped.delay else []
+    told += [f"{delay:g} s older than its stamp"] if delay else []
     told += [f"phase {phase}: {PHASES[phase]}"] if phase is not None and column.startswith("ctrl/") else []
     return ", ".join(told)

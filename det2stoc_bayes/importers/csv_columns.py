@@ -12,6 +12,7 @@ from det2stoc_bayes.importers.base import Asked, Contents, Log, Signal, SourceEr
 from det2stoc_bayes.suggestions import choices
 
 ABOUT = "comma-separated text, a file a recording; --column says which of its columns are the model's"
+TAKES = ("clock", "period")
 SETTINGS = {"time": "the column of times (without it --period)", "delimiter": "comma, semicolon, tab or space"}
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 _UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
@@ -59,6 +60,8 @@ def _time(where: str, names: list[str], units: dict[str, str | None], cells: np.
                               f"allowed: one of {listing(names, 30)}, or seconds from row to row")  # fmt: skip
         return asked.period * np.arange(len(cells))
     name = chosen or "time"
+    if asked.period is not None:
+        raise SourceError(f"{where}: has a column '{name}' of times; allowed: that, or --period for files without")
     return clock(cells[:, names.index(name)], f"{where}: column {name}") * asked.seconds(where, units[name])
 
 

@@ -56,6 +56,12 @@ def import_study(
         raise SourceError("--model: missing; allowed: the MJCF (.xml) or URDF (.urdf) that is believed")
     extra = MODEL_SETTINGS if Path(model).suffix.lower() == ".urdf" else {}
     asked = asked_of(map_file, **options, allowed_settings={**form.SETTINGS, **extra})
+    for option in {"clock", "period"} - set(form.TAKES):
+        if getattr(asked, option) is not None:
+            allowed = listing(f"--{taken}" for taken in form.TAKES)
+            raise SourceError(
+                f"--{option}: found {getattr(asked, option)}, which {name} does not take; allowed: {allowed}"
+            )
     if not source.exists():
         raise SourceError(f"{source}: no such file or folder; allowed: {form.ABOUT}")
     said, files = read_psi(psi), read_model(Path(model), asked)

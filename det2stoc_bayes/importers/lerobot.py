@@ -12,6 +12,7 @@ from det2stoc_bayes.errors import listing
 from det2stoc_bayes.importers.base import Asked, Contents, Log, Signal, SourceError, clock, numbers
 
 ABOUT = "a LeRobot v3 data set's folder, an episode a recording; timestamp is in s, joints' units are asked for"
+TAKES: tuple[str, ...] = ()
 SETTINGS: Mapping[str, str] = {}
 INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 

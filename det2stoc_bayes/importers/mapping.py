@@ -77,13 +77,13 @@ def asked(
     """Options over the mapping file. `columns` are COLUMN=SIGNAL, `delays` COLUMN=SECONDS; `given` the others."""
     told = read_map(file)
     options = {name: value for name, value in given.items() if value is not None}
-    mapped = {name: Mapped(**table.model_dump()) for name, table in told.columns.items()}
+    mapped = {name: Mapped(t.signal, t.unit, t.scale, t.offset) for name, t in told.columns.items()}
+    late = {name: table.delay for name, table in told.columns.items() if table.delay}
     for column, signal in _pairs("--column", columns, "COLUMN=SIGNAL").items():
         old = mapped.get(column, Mapped(signal))
-        mapped[column] = Mapped(signal, old.unit, old.scale, old.offset, old.delay)
+        mapped[column] = Mapped(signal, old.unit, old.scale, old.offset)
     for column, text in _pairs("--delay", delays, "COLUMN=SECONDS").items():
-        old = mapped.get(column, Mapped(column))
-        mapped[column] = Mapped(old.signal, old.unit, old.scale, old.offset, _number("--delay", text))
+        late[column] = _number("--delay", text)
     chosen = told.settings | _pairs("--set", settings, "NAME=VALUE")
     for name in chosen if allowed_settings is not None else ():
         if name not in (allowed_settings or {}):
@@ -91,7 +91,7 @@ def asked(
     plain = {name: options.get(name, getattr(told, name)) for name in ("clock", "period", "phase", "only", "holdout")}
     if plain["phase"] is not None and plain["phase"] not in PHASES:
         raise SourceError(f"--phase: found '{plain['phase']}'; {choices(plain['phase'], PHASES)}")
-    return Asked(mapped, told.units | _pairs("--unit", units, "COLUMN=UNIT"), settings=chosen, **plain)
+    return Asked(mapped, told.units | _pairs("--unit", units, "COLUMN=UNIT"), late, settings=chosen, **plain)
 
 
 def _pairs(option: str, given: Sequence[str], shape: str) -> dict[str, str]:

@@ -13,6 +13,7 @@ from det2stoc_bayes.importers.base import MODEL_UNITS, Asked, Contents, Log, Sig
 from det2stoc_bayes.suggestions import choices
 
 ABOUT = "JointState (and Float64MultiArray) messages of an .mcap, a .db3 or a rosbag2 folder, a bag a recording"
+TAKES = ("clock",)
 SETTINGS = {"states": "the topic whose joints are the model's, where several have JointState messages"}
 STATE, ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
 STAMPS = ("header", "received")

@@ -10,6 +10,7 @@ from det2stoc_bayes.importers.base import Asked, Contents, Log, Signal, SourceEr
 from det2stoc_bayes.importers.hdf5 import episodes, opened, signals
 
 ABOUT = "a Minari data set's folder, or its main_data.hdf5, an episode a recording; --period is asked for"
+TAKES = ("period",)
 SETTINGS: dict[str, str] = {}
 TAKEN = ("observations", "actions", "infos")
 

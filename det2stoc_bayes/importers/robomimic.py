@@ -11,6 +11,7 @@ from det2stoc_bayes.importers.base import Asked, Contents, Log, Signal, SourceEr
 from det2stoc_bayes.importers.hdf5 import episodes, opened, signals
 
 ABOUT = "robomimic's HDF5, a demonstration a recording; rows come at env_args' control_freq, or --period is asked for"
+TAKES = ("period",)
 SETTINGS: dict[str, str] = {}
 TAKEN = ("obs", "actions", "states")
 

@@ -9,6 +9,7 @@ from det2stoc_bayes.importers.base import MODEL_UNITS, Asked, Contents, Log, Sig
 from det2stoc_bayes.recording_npz import Series, read_series
 
 ABOUT = "mujoco.sysid's .npz (TimeSeries or SystemTrajectory), a file a recording; names and units are the model's"
+TAKES: tuple[str, ...] = ()
 SETTINGS = {"stamps": "of a TimeSeries with sensors: measured, or rollout (sensors stamped one step late)"}
 STAMPS = ("measured", "rollout")
 
