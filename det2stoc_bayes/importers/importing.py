@@ -111,7 +111,9 @@ def _tables(contents: Contents, asked: Asked, names: ModelNames) -> tuple[dict[s
         found[name] = Table(header, rows)
         lines.append(f"| {name} | {log.origin} | {len(rows)} | {rows[-1, 0]:.6g} | {start:.9g} |")
         done |= dict.fromkeys(told)
-    return found, [*lines, "", "Columns:", "", *(f"- {note}" for note in done)]
+    left = dict.fromkeys(signal for log in contents.logs for signal in _left_out(log, asked, names))
+    told = [*done, f"not taken: {listing(left, MOST_NAMED)}"] if left else [*done]
+    return found, [*lines, "", "Columns:", "", *(f"- {note}" for note in told)]
 
 
 def _stem(name: str) -> str:

@@ -55,6 +55,10 @@ def _log(path: Path, asked: Asked) -> tuple[Log, str]:
     found: dict[tuple[str, str, str], tuple[list[int], list[float]]] = defaultdict(lambda: ([], []))
     topics: dict[str, str] = {}
     for topic, kind, received, message in _messages(path):
+        if kind == ARRAY and asked.clock == "header":  # it has none
+            if any(mapped.signal.startswith(f"{topic}/") for mapped in asked.columns.values()):
+                raise SourceError(f"{path.name}: {topic}: {ARRAY} has no header; allowed: --clock received")
+            continue
         topics[topic] = kind
         stamp = received
         if asked.clock == "header" and kind == STATE:
@@ -67,9 +71,6 @@ def _log(path: Path, asked: Asked) -> tuple[Log, str]:
             values.append(value)
     if not found:
         raise SourceError(f"{path.name}: no message of {STATE} or {ARRAY}; allowed: a bag with some")
-    if asked.clock == "header" and ARRAY in topics.values():
-        arrays = listing(t for t, k in topics.items() if k == ARRAY)
-        raise SourceError(f"{path.name}: {arrays}: {ARRAY} has no header; allowed: --clock received")
     return Log(path.stem, path.name, _signals(found, topics, asked, path.name)), f"{path.name}: {asked.clock} stamps"
 
 

@@ -184,8 +184,10 @@ def test_a_rosbag2_of_joint_states_and_commands(place):
             layout = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
             message = store.types[array](layout, np.array([u]))
             bag.write(sent, stamp + 1_000_000, store.serialize_cdr(message, array))
-    more = ("--clock", "received", "--column", "ctrl/drive=/commands/0", "--unit", "ctrl/*=model", "--phase", "after")
-    code, said = place.imported("mcap", "bag", *more)
+    more = ("--column", "ctrl/drive=/commands/0", "--unit", "ctrl/*=model", "--phase", "after")
+    code, said = place.imported("mcap", "bag", "--clock", "header", *more)
+    assert code == 2 and "has no header" in said[-1]
+    code, said = place.imported("mcap", "bag", "--clock", "received", *more)
     assert code == 0, said
     _, rows = place.recording("bag")
     sent = rows[~np.isnan(rows[:, 2])]
