@@ -3,7 +3,8 @@
 `load(folder)` reads a study, `check(study)` says what its recordings can identify, `fit(study)` gives the
 posterior, `compare(study, methods, folder)` several beside each other, `calibrate(problem, method, folder)` tests
 whether a method's hold the truth, `export(study, posterior, folder, num_draws=100)` writes models with draws of one,
-`diagnose(study)` finds what the believed model leaves out.
+`diagnose(study)` finds what the believed model leaves out. `import_study(format, source, folder, model=...)`,
+`fetch_study(name, folder)` and `export_sysid(study, folder)` bring recordings in and out.
 `learned_simulator(posterior)` is the `StochasticSimulator` that an amortized method learned; `StochasticEnv` makes a
 Gymnasium environment of it. Every error that a user can act on is a `Det2StocError`.
 """
@@ -22,6 +23,9 @@ from det2stoc_bayes.errors import (
 
 if TYPE_CHECKING:
     from det2stoc_bayes.identifiability import check
+    from det2stoc_bayes.importers.importing import import_study
+    from det2stoc_bayes.importers.public.fetch import fetch_study
+    from det2stoc_bayes.importers.sysid_export import export_sysid
     from det2stoc_bayes.inference._environment import StochasticEnv
     from det2stoc_bayes.inference._stochastic import StochasticSimulator
     from det2stoc_bayes.randomization import export
@@ -38,7 +42,10 @@ _LAZY = {
     "compare": "det2stoc_bayes.verbs:compare",
     "diagnose": "det2stoc_bayes.verbs:diagnose",
     "export": "det2stoc_bayes.randomization:export",
+    "export_sysid": "det2stoc_bayes.importers.sysid_export:export_sysid",
+    "fetch_study": "det2stoc_bayes.importers.public.fetch:fetch_study",
     "fit": "det2stoc_bayes.verbs:fit",
+    "import_study": "det2stoc_bayes.importers.importing:import_study",
     "learned_simulator": "det2stoc_bayes.verbs:learned_simulator",
     "load": "det2stoc_bayes.study:load_study",
 }
@@ -57,7 +64,10 @@ __all__ = [
     "compare",
     "diagnose",
     "export",
+    "export_sysid",
+    "fetch_study",
     "fit",
+    "import_study",
     "learned_simulator",
     "load",
 ]

@@ -287,3 +287,4 @@ def _load(folder: Path) -> "det2stoc_bayes.study.Study":
 
 
 from det2stoc_bayes import cli_blind as cli_blind  # noqa: E402  a command that takes its options from here
+from det2stoc_bayes import cli_import as cli_import  # noqa: E402  and those that bring recordings in and out

@@ -15,6 +15,7 @@ from det2stoc_bayes.errors import StudyError, listing
 from det2stoc_bayes.recording_angles import unwrap
 from det2stoc_bayes.recording_files import Table, read_csv, read_parquet
 from det2stoc_bayes.recording_glitches import glitches
+from det2stoc_bayes.recording_npz import read_npz
 from det2stoc_bayes.suggestions import choices
 
 MOST_NORM_ERROR = 0.05  # of a quaternion: noise is normalised away, more is a glitch or a mistake
@@ -50,15 +51,15 @@ class Recording:
 
 
 def read_recording(path: Path, names: ModelNames) -> Recording:
-    """The recording in a .csv or .parquet file; a StudyError names the line and column of what is wrong."""
+    """The recording in a .csv, .parquet or mujoco.sysid .npz file; a StudyError names line and column."""
     label = f"{path.parent.name}/{path.name}"
-    readers = {".csv": read_csv, ".parquet": read_parquet}
+    readers = {".csv": read_csv, ".parquet": read_parquet, ".npz": partial(read_npz, names=names)}
     if path.is_dir():
-        raise StudyError(f"{label}: found a folder; allowed: a .csv or .parquet file")
+        raise StudyError(f"{label}: found a folder; allowed: a .csv, .parquet or .npz file")
     if path.suffix.lower() not in readers:
         raise StudyError(f"{label}: cannot read a '{path.suffix}' file; allowed: {listing(readers)}")
     if not path.is_file():
-        raise StudyError(f"{label}: no such file; allowed: a .csv or .parquet file")
+        raise StudyError(f"{label}: no such file; allowed: a .csv, .parquet or .npz file")
     if path.stat().st_size > MOST_BYTES:
         raise StudyError(f"{label}: found {path.stat().st_size / 1e9:.1f} GB; allowed: at most {MOST_BYTES / 1e9:g} GB")
     table = readers[path.suffix.lower()](path, label, partial(_check_header, names))

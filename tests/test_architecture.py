@@ -12,6 +12,7 @@ ROOT = Path(__file__).parents[1]
 EDGE = (
     "cli.py",
     "cli_blind.py",
+    "cli_import.py",
     "streams.py",
     "verbs.py",
     "verbs_calibrate.py",

@@ -76,7 +76,19 @@ def test_help_lists_what_exists_and_imports_no_library():
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert shown.returncode == 0, shown.stderr
     listed = [line.split()[0] for line in shown.stdout.split("Commands:")[1].splitlines() if line.strip()]
-    assert listed == ["check", "fit", "compare", "calibrate", "diagnose", "reproduce", "export", "effects", "blind"]
+    imports = ["import", "fetch", "export-recordings"]
+    assert listed == [
+        "check",
+        "fit",
+        "compare",
+        "calibrate",
+        "diagnose",
+        "reproduce",
+        "export",
+        "effects",
+        "blind",
+        *imports,
+    ]
 
 
 def test_check_says_what_can_be_identified(study):

@@ -146,9 +146,9 @@ def test_mistakes_are_named(tmp_path: Path, text: str, found: str, allowed: str)
 @pytest.mark.parametrize(
     ("name", "content", "found", "allowed"),
     [
-        ("drop.npz", b"", "'.npz'", ".csv, .parquet"),
-        ("drop.pkl", b"", "'.pkl'", ".csv, .parquet"),
-        ("drop", b"", "''", ".csv, .parquet"),
+        ("drop.npz", b"", "cannot be read", "no pickle"),
+        ("drop.pkl", b"", "'.pkl'", ".csv, .parquet, .npz"),
+        ("drop", b"", "''", ".csv, .parquet, .npz"),
         ("drop.csv", b"time,qpos/slide\n0,\xff\n", "cannot be read", "UTF-8"),
         ("drop.parquet", b"PAR0", "cannot be read", "a Parquet file"),
         ("absent.csv", None, "no such file", ".csv"),

@@ -1,5 +1,6 @@
 """What a compiled MJCF has under which name: columns a recording may hold, fields a target may set."""
 
+import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -59,6 +60,7 @@ class ModelNames:
     `quaternions`: the columns, four each, that are one orientation; of joints and of sensors.
     `hinges`: the position columns of hinge joints with their range, None where unlimited.
     `abrupt`: columns of accelerations and forces, in which one sample may rightly stand alone.
+    `free_bodies`: bodies that a free joint moves, with the joint's name.
     """
 
     columns: tuple[str, ...]
@@ -68,6 +70,7 @@ class ModelNames:
     quaternions: tuple[tuple[str, ...], ...] = ()
     hinges: Mapping[str, tuple[float, float] | None] = dataclass_field(default_factory=dict)
     abrupt: tuple[str, ...] = ()
+    free_bodies: Mapping[str, str] = dataclass_field(default_factory=dict)
 
 
 def field_of(kind: str, field: str) -> str:
@@ -158,6 +161,12 @@ def _files_within(path: Path, folder: Path) -> Iterator[Path]:
                 waiting += _files_named(current, path.parent)
 
 
+def model_files(path: Path) -> list[Path]:
+    """An MJCF and all that it includes or loads, wherever it lies."""
+    path = Path(os.path.abspath(path))  # links are kept: what refers to a file does so by its name
+    return sorted({Path(os.path.normpath(file)) for file in _files_within(path, Path(path.anchor))})
+
+
 def _files_named(xml: Path, main: Path) -> list[Path]:
     """The files an MJCF names, under each directory where MuJoCo might look for them."""
     try:
@@ -184,11 +193,14 @@ def model_names(model: "mujoco.MjModel") -> ModelNames:
     quaternions: list[tuple[str, ...]] = []
     hinges: dict[str, tuple[float, float] | None] = {}
     abrupt: list[str] = []
+    free: dict[str, str] = {}
     for joint in map(model.joint, range(model.njnt)):
         if joint.name:
-            columns += _joint_columns(joint.name, joint.type[0])
+            columns += joint_columns(joint.name, joint.type[0])
             if joint.type[0] in (_FREE, _BALL):
                 quaternions.append(tuple(f"qpos/{joint.name}/{part}" for part in ("qw", "qx", "qy", "qz")))
+            if joint.type[0] == _FREE:
+                free[model.body(int(joint.bodyid[0])).name] = joint.name
             if joint.type[0] == _HINGE:
                 limited = model.jnt_limited[joint.id]
                 hinges[f"qpos/{joint.name}"] = (float(joint.range[0]), float(joint.range[1])) if limited else None
@@ -206,7 +218,8 @@ def model_names(model: "mujoco.MjModel") -> ModelNames:
         kind: {f: _shape(model, kind, f) for f, array in known.items() if array in MODEL_FIELDS}
         for kind, known in _FIELDS.items()
     }
-    return ModelNames(tuple(columns), _controls(model), elements, fields, tuple(quaternions), hinges, tuple(abrupt))
+    found = (tuple(columns), _controls(model), elements, fields, tuple(quaternions), hinges, tuple(abrupt), free)
+    return ModelNames(*found)
 
 
 def rows_of(model: "mujoco.MjModel", kind: str, name: str, field: str) -> Int[np.ndarray, " rows"]:
@@ -234,7 +247,7 @@ def believed_value(model: "mujoco.MjModel", kind: str, name: str, field: str) ->
     return np.array(values, float)
 
 
-def _joint_columns(name: str, kind: Any) -> list[str]:
+def joint_columns(name: str, kind: Any) -> list[str]:
     """The position and velocity columns of one joint."""
     if kind in (_SLIDE, _HINGE):
         return [f"qpos/{name}", f"qvel/{name}"]
