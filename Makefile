@@ -5,7 +5,7 @@ UV_VERSION := 0.13.8
 BIN := .venv/bin
 READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
 
-.PHONY: help test test-long lint format demo bench real stripped amortized tuning compare-sbi clean
+.PHONY: help test test-long lint format demo bench real stripped amortized tuning compare compare-sbi clean
 NAMES := pendulum_multiarm servo_xl330 ball_drops
 STUDIES ?= ../shared/studies
 BENCHMARKS := bad_input sysid_silence transitions
@@ -22,6 +22,7 @@ help:
 	@echo "make stripped  the same without a documented piece of their models"
 	@echo "make amortized  det2stoc and a CVAE of recordings alone on them: held-out log densities"
 	@echo "make tuning  Windy Slope's models over the same grid of widths and learning rates"
+	@echo "make compare  amortized beside exact posteriors: linear_gaussian, pendulum, cartpole"
 	@echo "make compare-sbi  npe on problems of the SBI benchmark, by the benchmark's own measure"
 	@echo "make clean   remove .venv and caches; results in out/ stay"
 
@@ -59,6 +60,9 @@ amortized: $(READY)
 
 tuning: $(READY)
 	@$(BIN)/python benchmarks/tuning.py
+
+compare: $(READY)
+	@$(BIN)/python benchmarks/compare.py
 
 compare-sbi: $(READY)
 	@$(BIN)/python benchmarks/compare_sbi.py
