@@ -5,7 +5,7 @@ UV_VERSION := 0.13.8
 BIN := .venv/bin
 READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
 
-.PHONY: help test test-long lint format demo bench real stripped amortized tuning compare compare-sbi clean
+.PHONY: help test test-long test-browser browser vendor lint format demo bench real stripped amortized tuning compare compare-sbi clean
 NAMES := pendulum_multiarm servo_xl330 ball_drops
 STUDIES ?= ../shared/studies
 BENCHMARKS := bad_input sysid_silence transitions
@@ -14,6 +14,9 @@ BENCHMARKS := bad_input sysid_silence transitions
 help:
 	@echo "make test    lint, types and tests"
 	@echo "make test-long  the tests that take a minute each, which make test leaves out"
+	@echo "make browser  install a Chromium for the tests of pages, where apt-get can"
+	@echo "make test-browser  the tests of pages in a Chromium alone"
+	@echo "make vendor  bundle the pages' three.js anew, by npm"
 	@echo "make demo    conceal an effect, diagnose it, compare"
 	@echo "make lint    ruff and pyright alone"
 	@echo "make format  let ruff put the files in shape"
@@ -31,6 +34,20 @@ test: lint
 
 test-long: $(READY)
 	$(BIN)/python -m pytest -m long
+
+# Pages are looked at by a Chromium; where none can be had their tests are skipped, and say so.
+browser:
+	@command -v chromium chromium-browser google-chrome >/dev/null || { \
+		command -v apt-get >/dev/null && [ "$$(id -u)" = 0 ] && \
+		{ timeout 50 apt-get install -qq -y --no-install-recommends chromium >/dev/null 2>&1 || \
+		{ timeout 20 apt-get update -qq && timeout 50 apt-get install -qq -y --no-install-recommends chromium; } >/dev/null 2>&1; }; } || \
+		echo "make browser: no Chromium, and none that apt-get could install here as root; tests of pages will be skipped"
+
+test-browser: $(READY) browser
+	$(BIN)/python -m pytest -m browser
+
+vendor:
+	cd det2stoc_bayes/report/vendor && npm ci --no-audit --no-fund && npm run build && rm -rf node_modules
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -24,7 +24,7 @@ ONLY_IN = {
     "blackjax": ("inference/",),
     "emcee": ("inference/",),
     "flowjax": ("inference/",),
-    "xarray": ("posterior.py", "compare.py", "report/", "mismatch/result.py"),
+    "xarray": ("posterior.py", "compare.py", "report/", "mismatch/result.py", "mismatch/replay.py"),
     "arviz": ("posterior.py", "compare.py", "psis.py", "report/", "mismatch/result.py"),
 }
 MOST_LINES = 300

@@ -24,3 +24,9 @@ def rotated(quaternion: Float[np.ndarray, "... 4"], vector: Float[np.ndarray, ".
     c = np.cos(angle / 2)
     w, u = quaternion[..., :1], quaternion[..., 1:]
     return np.concatenate([w * c - (u * v).sum(-1, keepdims=True), w * v + c * u + np.cross(u, v)], -1)
+
+
+def product(first: Float[np.ndarray, "... 4"], second: Float[np.ndarray, "... 4"]) -> Float[np.ndarray, "... 4"]:
+    """The rotation `second`, then `first`."""
+    a, b, u, v = first[..., :1], second[..., :1], first[..., 1:], second[..., 1:]
+    return np.concatenate([a * b - (u * v).sum(-1, keepdims=True), a * v + b * u + np.cross(u, v)], -1)

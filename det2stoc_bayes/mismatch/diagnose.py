@@ -20,6 +20,7 @@ from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
 from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
+from det2stoc_bayes.mismatch.replay import replay, states_of
 from det2stoc_bayes.mismatch.unlisted import explain_by_all
 from det2stoc_bayes.mismatch.where import conditions
 from det2stoc_bayes.optimize import Fit
@@ -153,6 +154,7 @@ def _arrays(judged: Judgement, composer: Composer) -> result.DataTree:
         held = judged.held_before.rollouts, judged.held_after.rollouts
         runs |= result.rollouts(before, *held, study.holdout, "holdout", composer.when)
     groups |= {f"rollouts/{name}": data for name, data in runs.items()}
+    groups |= replay(before.problem.simulator, runs, states_of(before, after))
     chance = {m.placed.label: c.probability for place in judged.places[:1] for c in place for m in c.alike}
     groups["screening"] = result.screening(judged.found.slots[0], chance)
     return result.DataTree.from_dict(groups)

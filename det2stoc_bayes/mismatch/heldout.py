@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from det2stoc_bayes.engines.base import Request
 from det2stoc_bayes.linearization import Linearization
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem
@@ -174,8 +175,23 @@ def _warm(length: int) -> int:
     return min(max(LEAST_WARM_UP, round(WARM_UP * length)), length // 2)
 
 
+def predicted_states(fit: Fit, recordings: tuple[Recording, ...]) -> dict[str, Float[np.ndarray, "samples nq"]]:
+    """The positions behind the rollouts of recordings that were not fitted; NaN where a rollout diverged."""
+    out = {}
+    for recording in recordings:
+        problem, posed = _posed(fit, fit.point.z, (recording,))
+        segments, found = problem.segments, problem.simulator.engine.trajectory(_from_warm_up(problem, posed)).qpos
+        out[recording.name] = np.concatenate([found[s, : segments.lengths[s]] for s in range(segments.count)])
+    return out
+
+
 def _rollout(problem: Problem, z: np.ndarray) -> Float[np.ndarray, "segments samples columns"]:
     """Predictions from states estimated from each stretch's first samples."""
+    return problem.simulator.rollout(_from_warm_up(problem, z))
+
+
+def _from_warm_up(problem: Problem, z: np.ndarray) -> Request:
+    """Simulations from such states."""
     segments = problem.segments
     warm = np.array([_warm(int(n)) for n in segments.lengths])
     longest = int(warm.max())  # what comes later need not be simulated
@@ -184,8 +200,8 @@ def _rollout(problem: Problem, z: np.ndarray) -> Float[np.ndarray, "segments sam
     beginning = replace(segments, time=segments.time[:, :longest], values=values)
     lin = fit_starts(replace(problem, segments=beginning), z)
     if lin is None:
-        return problem.simulator.rollout(problem.request(z[None], problem.guess.start))
-    return problem.simulator.rollout(problem.request(lin.point.z[None], lin.point.start))
+        return problem.request(z[None], problem.guess.start)
+    return problem.request(lin.point.z[None], lin.point.start)
 
 
 def leave_one_out(fit: Fit) -> dict[str, np.ndarray]:

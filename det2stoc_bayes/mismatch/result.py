@@ -13,7 +13,7 @@ from det2stoc_bayes.posterior import named_draws
 from det2stoc_bayes.problem import HasProblem
 from det2stoc_bayes.recording import Recording
 
-__all__ = ["DataTree", "fitted_paths", "posterior", "ranking", "rollouts", "screening"]
+__all__ = ["DataTree", "fitted_paths", "fitted_states", "posterior", "ranking", "rollouts", "screening"]
 
 NUM_CHAINS = 4
 
@@ -71,6 +71,17 @@ def fitted_paths(fit: Fit) -> dict[str, np.ndarray]:
         predicted = predicted + problem.finer.shift
     out = {r.name: np.full((len(r.time), len(segments.columns)), np.nan) for r in segments.recordings}
     for s, path in enumerate(predicted):
+        begin, length = segments.first[s], segments.lengths[s]
+        out[segments.recordings[segments.recording[s]].name][begin : begin + length] = path[:length]
+    return out
+
+
+def fitted_states(fit: Fit) -> dict[str, np.ndarray]:
+    """The positions (samples, nq) behind `fitted_paths`."""
+    problem, segments = fit.problem, fit.problem.segments
+    found = problem.simulator.engine.trajectory(problem.request(fit.point.z[None], fit.point.start)).qpos
+    out = {r.name: np.full((len(r.time), found.shape[-1]), np.nan) for r in segments.recordings}
+    for s, path in enumerate(found):
         begin, length = segments.first[s], segments.lengths[s]
         out[segments.recordings[segments.recording[s]].name][begin : begin + length] = path[:length]
     return out

@@ -7,7 +7,18 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from det2stoc_bayes.report import belief_lines, contents, curves, figures, marginals, numbers, page, series, varying
+from det2stoc_bayes.report import (
+    belief_lines,
+    contents,
+    curves,
+    figures,
+    marginals,
+    numbers,
+    page,
+    replay,
+    series,
+    varying,
+)
 
 WRITTEN = ("patched.xml", "effects.py", "fit.nc", "diagnosis.json")
 KNOT = re.compile(r"\]\.curve\.\d+$")
@@ -30,6 +41,7 @@ def diagnosis_page(
     if not finding["where"]["when"]:
         rollouts = {stem: data.drop_vars("condition", errors="ignore") for stem, data in rollouts.items()}
     names = _names(finding["verdict"], fit, rollouts)
+    moving = replay.scene(fit, names)
     return page.render(
         "diagnosis.html.j2",
         title=f"{study_name}: {contents.BADGES[finding['verdict']].lower()}",
@@ -47,6 +59,8 @@ def diagnosis_page(
         belief=belief_lines.belief_lines(finding),
         screening=contents.screening_rows(fit),
         recordings=_recordings(rollouts, names),
+        replay=moving and page.embedded(moving),
+        enlarged=replay.enlarged(moving),
         omitted=len(rollouts) - len(series.selection(rollouts)[0]),
         distribution=_distribution(rollouts, names),
         **_posterior(finding, fit, names),
@@ -94,6 +108,8 @@ def _recordings(rollouts: Mapping[str, xr.Dataset], names: Mapping[str, str]) ->
         shown.append(
             {
                 "stem": stem,
+                "begin": float(data["time"].min()),
+                "end": float(data["time"].max()),
                 "held_out": held_out,
                 "misfit": [numbers.number(series.misfit(data, which), 2) for which in names],
                 "condition": "condition" in data and bool(data["condition"].any()),

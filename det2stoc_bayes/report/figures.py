@@ -28,11 +28,11 @@ def rollout_figure(rollout: xr.Dataset, channels: Sequence[str], names: Mapping[
         style: Spec = {"hovertemplate": "%{y:.4~g}", "y_axis": y_axis}
         for which, values in drawn.items():
             x, y = series.decimate(time, values, points)
-            traces.append(line(x, y, names[which], canvas.colour_of(which), **style))
+            traces.append(line(x, y, names[which], canvas.colour_of(which), meta=which, **style))
         x, y = series.decimate(time, observed, points)
         dots = {"mode": "markers", "marker": {"color": canvas.OBSERVED, "size": 3.5}}
         style |= dots if np.isfinite(observed).sum() <= 150 else {}
-        traces.append(line(x, y, "recorded", canvas.OBSERVED, width=1.1, **style))
+        traces.append(line(x, y, "recorded", canvas.OBSERVED, width=1.1, meta="recorded", **style))
     titles = [_labelled(rollout, channel) for channel in channels]
     return {"data": traces, "layout": canvas.panels(titles, "time [s]", axes)}
 
@@ -53,7 +53,7 @@ def residual_figure(rollout: xr.Dataset, channels: Sequence[str], names: Mapping
         traces.append(canvas.area([*ends, *ends[::-1]], [-two, -two, two, two], canvas.BAND, y_axis=y_axis))
         for which, values in drawn.items():
             x, y = series.decimate(time, values[:, row], points)
-            traces.append(line(x, y, names[which], canvas.colour_of(which), width=1.1, y_axis=y_axis))
+            traces.append(line(x, y, names[which], canvas.colour_of(which), width=1.1, y_axis=y_axis, meta=which))
     titles = [_labelled(rollout, channel) for channel in channels]
     axes = [{"range": [-reach, reach], **canvas.asinh_ticks(reach)} for _ in channels]
     return {"data": traces, "layout": canvas.panels(titles, "time [s]", axes)}
@@ -72,6 +72,7 @@ def histogram_figure(residuals: Mapping[str, np.ndarray], names: Mapping[str, st
             "fill": "tozeroy",
             "fillcolor": canvas.soft(colour),
             "width": 1.6,
+            "meta": which,
         }
         traces.append(line(edges, np.append(height, 0), names[which], colour, **style))
     smooth = np.linspace(-reach, reach, 241)
@@ -93,7 +94,7 @@ def quantile_figure(residuals: Mapping[str, np.ndarray], names: Mapping[str, str
             continue
         quantiles = np.arcsinh(np.quantile(values, levels[inside]))
         reach = max(reach, float(np.abs(quantiles).max()))
-        traces.append(line(normal[inside], quantiles, names[which], canvas.colour_of(which), width=2.4))
+        traces.append(line(normal[inside], quantiles, names[which], canvas.colour_of(which), width=2.4, meta=which))
     dotted: Spec = {"width": 1.6, "line": {"dash": "dot"}}
     traces.append(line(normal, np.arcsinh(normal), "noise alone", canvas.OBSERVED, **dotted))
     x = canvas.axis("quantile of the normal", dtick=1, range=[-3.4, 3.4])
@@ -125,7 +126,7 @@ def _noise_band(time: np.ndarray, observed: np.ndarray, half: float, points: int
         return []
     x, y = series.decimate(time[seen], observed[seen], points)
     outline = np.concatenate([x, x[::-1]]), np.concatenate([y + half, (y - half)[::-1]])
-    filled: Spec = {"fill": "toself", "fillcolor": canvas.BAND, "width": 0, "y_axis": y_axis}
+    filled: Spec = {"fill": "toself", "fillcolor": canvas.BAND, "width": 0, "y_axis": y_axis, "meta": "band"}
     return [line(*outline, "noise", canvas.BAND, **filled)]
 
 

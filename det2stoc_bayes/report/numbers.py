@@ -82,7 +82,8 @@ def bayes_factor(log10: float | None) -> str:
 
 
 def tied(text: str) -> str:
-    """The text with numbers, ± and units held together by no-break spaces."""
+    """The text in print: ± and minus signs; numbers, ± and units held together by no-break spaces."""
+    text = re.sub(r"(?<![\w.)\]])-(?=[\d.])", "\u2212", text.replace(" +- ", " ± "))
     text = text.replace(" ± ", "\u00a0±\u00a0").replace("N m", "N\u00a0m")
     return re.sub(r"(?<=\d) (?=%|(?:mm|cm|kg|Hz|ms|rad|[mNs])\b)", "\u00a0", text)
 

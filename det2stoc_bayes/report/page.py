@@ -1,4 +1,4 @@
-"""One self-contained html file: template, style, script and plotly.js; nothing is loaded from anywhere."""
+"""One self-contained html file: template, style, scripts, plotly.js and three.js; nothing is loaded from anywhere."""
 
 import json
 from functools import cache
@@ -14,17 +14,12 @@ from det2stoc_bayes.report.canvas import Spec
 
 def render(template: str, **context: Any) -> str:
     """The page as html text; what the context holds is escaped, since names come from users."""
-    asset = files("det2stoc_bayes.report") / "templates"
-    return (
-        _environment()
-        .get_template(template)
-        .render(
-            style=Markup((asset / "style.css").read_text("utf-8")),
-            script=Markup((asset / "figures.js").read_text("utf-8")),
-            plotly=Markup(get_plotlyjs()),
-            **context,
-        )
-    )
+    return _environment().get_template(template).render(asset=asset, plotly=lambda: Markup(get_plotlyjs()), **context)
+
+
+def asset(name: str, folder: str = "templates") -> Markup:
+    """A style or script of the package as it stands."""
+    return Markup((files("det2stoc_bayes.report") / folder / name).read_text("utf-8"))
 
 
 def embedded(figure: Spec) -> Markup:

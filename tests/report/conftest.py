@@ -147,6 +147,9 @@ def make_fit(verdict: str, *, num_recordings: int = 4, num_samples: int = 900) -
     for k in range(num_recordings):
         role = "holdout" if k < 2 else "recordings"
         nodes[f"/rollouts/swing_{k:02d}"] = _rollout(rng, num_samples, role, wrong=verdict != "no_mismatch")
+    nodes |= _shapes()
+    for k, positions in ((0, True), (1, False)):  # of the second one only sensors were recorded
+        nodes[f"/replay/motions/swing_{k:02d}"] = _motion(nodes[f"/rollouts/swing_{k:02d}"], positions)
     return xr.DataTree.from_dict(nodes)
 
 
@@ -180,6 +183,49 @@ def _rollout(rng: np.random.Generator, num_samples: int, role: str, *, wrong: bo
         coords={"time": ("sample", time), "channel": list(CHANNELS), "unit": ("channel", list(UNITS))},
         attrs={"role": role},
     )
+
+
+def _shapes() -> dict[str, xr.Dataset]:
+    """A floor, two links, and a hand that is a mesh."""
+    upright = [1.0, 0.0, 0.0, 0.0]
+    rows = [
+        ("plane", -1, [0, 0, 1], [0, 0, -1.2], [0.5, 0.5, 0.5, 1], 0, 0),
+        ("capsule", 0, [0.04, 0.25, 0], [0, 0, -0.25], [0.2, 0.4, 0.7, 1], 0, 0),
+        ("box", 1, [0.03, 0.03, 0.2], [0, 0, -0.2], [0.5, 0.5, 0.5, 1], 0, 0),
+        ("mesh", 1, [0, 0, 0], [0, 0, -0.4], [0.9, 0.6, 0.2, 0.8], 4, 4),
+    ]
+    kind, body, size, position, colour, vertices, faces = zip(*rows, strict=True)
+    shapes = {
+        "kind": ("geom", list(kind)),
+        "of_body": ("geom", list(body)),
+        "size": (("geom", "size_part"), np.array(size, float)),
+        "position": (("geom", "position_part"), np.array(position, float)),
+        "quaternion": (("geom", "quaternion_part"), np.array([upright] * len(rows))),
+        "colour": (("geom", "colour_part"), np.array(colour, float)),
+        "num_vertices": ("geom", list(vertices)),
+        "num_faces": ("geom", list(faces)),
+    }
+    corners = 0.08 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float32)
+    mesh = {"vertices": (("vertex", "xyz"), corners)}
+    mesh["faces"] = (("face", "corner"), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], np.int32))
+    return {"/replay/shapes": xr.Dataset(shapes, {"bodies": ["upper", "lower"]}), "/replay/meshes": xr.Dataset(mesh)}
+
+
+def _motion(rollout: xr.Dataset, positions: bool) -> xr.Dataset:
+    """Poses of an arm of two links that turn about the y axis."""
+    at = slice(None, None, 3)
+    names = {"observed": "recorded"} if positions else {}
+    names |= {"before": "before", "after": "after"}
+    poses = {}
+    for source, name in names.items():
+        shoulder, wrist = rollout[source].values[at, :2].T
+        elbow = -0.5 * np.stack([np.sin(shoulder), 0 * shoulder, np.cos(shoulder)], 1)
+        bodies = []
+        for place, angle in ((0 * elbow, shoulder), (elbow, shoulder + wrist)):
+            turn = np.stack([np.cos(angle / 2), 0 * angle, np.sin(angle / 2), 0 * angle], 1)
+            bodies.append(np.concatenate([place, turn], 1))
+        poses[name] = (("frame", "body", "pose"), np.stack(bodies, 1).astype(np.float32))
+    return xr.Dataset(poses, {"time": ("frame", rollout["time"].values[at])})
 
 
 def _screening(rng: np.random.Generator, verdict: str) -> xr.Dataset:

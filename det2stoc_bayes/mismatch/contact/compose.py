@@ -16,6 +16,7 @@ from det2stoc_bayes.mismatch.contact.search import Pair
 from det2stoc_bayes.mismatch.contact.window_fit import WindowFit
 from det2stoc_bayes.mismatch.contact.window_starts import LOOKED_AT
 from det2stoc_bayes.mismatch.contact.windows import STRIDE
+from det2stoc_bayes.mismatch.replay import replay
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element
 from det2stoc_bayes.mismatch.statements import drop, element, parameters, statement
 from det2stoc_bayes.mismatch.where import Condition
@@ -205,12 +206,14 @@ class ContactComposer:
             "after/posterior": result.posterior(said.shown.fit, self.draws["after"]),
         }
         kinds = (("recordings", "fit", self.study.recordings), ("holdout", "held", self.study.holdout))
+        runs = {}
         for role, name, recordings in kinds:
             earlier, later = (_paths(getattr(p, name)) for p in (said.before, said.shown))
             there = tuple(r for r in recordings if r.name in earlier)
             if there:
-                runs = result.rollouts(said.before.fit, earlier, later, there, role, self.when)
-                groups |= {f"rollouts/{stem}": data for stem, data in runs.items()}
+                runs |= result.rollouts(said.before.fit, earlier, later, there, role, self.when)
+        groups |= {f"rollouts/{stem}": data for stem, data in runs.items()}
+        groups |= replay(said.before.fit.problem.simulator, runs, lambda _: {})  # windows keep no states
         groups["screening"] = result.ranking(self._ranking())
         return result.DataTree.from_dict(groups)
 

@@ -1,8 +1,12 @@
 "use strict";
-(() => {
-  const theme = window.matchMedia("(prefers-color-scheme: dark)");
+// Figures, drawn when they come near the screen; legends whose entries can be left out; a choice of recording.
+const page = (() => {
   const coarse = window.matchMedia("(pointer: coarse)").matches;
   const drawn = new Set();
+  const hidden = new Set(); // parts of the legend that are left out
+  const listeners = { draw: [], recording: [], parts: [] };
+  const on = (event, action) => listeners[event].push(action);
+  const tell = (event, ...what) => listeners[event].forEach((action) => action(...what));
 
   // Colours are written as css variables; plotly wants their values.
   function resolved(value, style) {
@@ -24,13 +28,16 @@
     layout.font.family = getComputedStyle(document.body).fontFamily;
     layout.dragmode = coarse ? false : "zoom";
     layout.width = place.clientWidth;
+    data.forEach((trace) => { trace.visible = !hidden.has(trace.meta); });
     Plotly.react(place, data, layout, { displayModeBar: false, doubleClick: "reset" });
+    tell("draw", place, !drawn.has(place));
     drawn.add(place);
   }
 
   const visible = (place) => place.offsetParent !== null && place.clientWidth > 0;
   const drawIn = (part) => part.querySelectorAll(".figure").forEach((place) => { if (visible(place)) draw(place); });
   const redraw = () => drawn.forEach((place) => { if (visible(place)) draw(place); });
+  const forget = () => drawn.forEach((place) => { if (!visible(place)) seen.observe(place); });
 
   // A figure is drawn when it comes near the screen, and again when what hid it opens.
   const seen = new IntersectionObserver((entries) => {
@@ -40,7 +47,7 @@
   document.querySelectorAll("details").forEach((part) => {
     part.addEventListener("toggle", () => { if (part.open) drawIn(part); });
   });
-  theme.addEventListener("change", redraw);
+  document.addEventListener("themechange", () => { redraw(); forget(); });
   window.addEventListener("beforeprint", () => drawIn(document.body));
   let width = window.innerWidth;
   let waiting = 0;
@@ -48,22 +55,38 @@
     if (window.innerWidth === width) return;
     width = window.innerWidth;
     clearTimeout(waiting);
-    waiting = setTimeout(redraw, 120);
+    waiting = setTimeout(() => { redraw(); forget(); }, 120);
+  });
+
+  document.querySelectorAll(".legend button").forEach((button) => {
+    button.addEventListener("click", () => {
+      const part = button.dataset.part;
+      if (!hidden.delete(part)) hidden.add(part);
+      document.querySelectorAll(`.legend button[data-part="${part}"]`).forEach((same) => {
+        same.setAttribute("aria-pressed", !hidden.has(part));
+      });
+      drawn.forEach((place) => {
+        const traces = place.data.flatMap((trace, i) => (trace.meta === part ? [i] : []));
+        if (traces.length) Plotly.restyle(place, { visible: !hidden.has(part) }, traces);
+      });
+      tell("parts", hidden);
+    });
   });
 
   const select = document.getElementById("recording");
-  if (!select) return;
   function show(index) {
     select.selectedIndex = index;
-    document.querySelectorAll(".recording").forEach((part, i) => {
-      part.hidden = i !== index;
-      if (i === index) drawIn(part);
-    });
+    const parts = document.querySelectorAll(".recording");
+    parts.forEach((part, i) => { part.hidden = i !== index; });
     document.getElementById("previous").disabled = index === 0;
-    document.getElementById("next").disabled = index === select.options.length - 1;
+    document.getElementById("next").disabled = index === parts.length - 1;
+    tell("recording", parts[index]);
+    drawIn(parts[index]);
   }
-  select.addEventListener("change", () => show(select.selectedIndex));
-  document.getElementById("previous").addEventListener("click", () => show(select.selectedIndex - 1));
-  document.getElementById("next").addEventListener("click", () => show(select.selectedIndex + 1));
-  show(0);
+  if (select) {
+    select.addEventListener("change", () => show(select.selectedIndex));
+    document.getElementById("previous").addEventListener("click", () => show(select.selectedIndex - 1));
+    document.getElementById("next").addEventListener("click", () => show(select.selectedIndex + 1));
+  }
+  return { on, hidden, drawn, visible, start: () => { if (select) show(0); } };
 })();

@@ -1,0 +1,152 @@
+"""The replay's data for the page: shapes, poses over time, and where to look from."""
+
+import base64
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+PARTS = ("recorded", "before", "after")
+SMALLEST = 0.03  # of the scene's diameter: bodies that are smaller are drawn larger
+ELEVATION, HIGHER = np.radians(16.0), np.radians(28.0)  # of the view, and by how much more over motion in a level plane
+ASIDE = np.radians(24.0)  # of the side from which most motion is seen
+DIGITS = 5
+
+
+def scene(fit: xr.DataTree, names: Mapping[str, str]) -> dict[str, Any] | None:
+    """What the browser needs; None where the fit holds no replay."""
+    if "replay" not in fit or "motions" not in fit["replay"].children:
+        return None
+    seen, meshes = (fit[f"replay/{name}"].to_dataset() for name in ("shapes", "meshes"))
+    motions = {stem: node.to_dataset() for stem, node in fit["replay/motions"].children.items()}
+    motions = {stem: data for stem, data in motions.items() if set(PARTS) & set(data.data_vars)}
+    if not motions:
+        return None
+    sizes = _sizes(seen, meshes)
+    poses = np.concatenate([data[part].values for data in motions.values() for part in _parts(data, names)])
+    points = _centres(seen, poses.astype(float))
+    low, high = _bounds(points, sizes[seen["of_body"].values >= 0])
+    radius = max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
+    return {
+        "shapes": _shapes(seen, meshes),
+        "bodies": seen.sizes["bodies"],
+        "scales": _numbers(_scales(seen, sizes, radius)),
+        "centre": _numbers(0.5 * (low + high)),
+        "floor": float(low[2]),
+        "radius": float(f"{radius:.{DIGITS}g}"),
+        "view": _numbers(_view(points)),
+        "motions": {stem: _motion(data, names) for stem, data in motions.items()},
+    }
+
+
+def enlarged(told: Mapping[str, Any] | None) -> bool:
+    """Whether some body is drawn larger than it is."""
+    return told is not None and any(scale > 1 for scale in told["scales"])
+
+
+def _parts(motion: xr.Dataset, names: Mapping[str, str]) -> list[str]:
+    """What is shown of a motion: `after` only where the page speaks of it."""
+    return [part for part in PARTS if part in motion and (part == "recorded" or part in names)]
+
+
+def _motion(motion: xr.Dataset, names: Mapping[str, str]) -> dict[str, Any]:
+    time = motion["time"].values
+    poses = {part: _packed(motion[part].transpose("frame", "body", "pose").values) for part in _parts(motion, names)}
+    return {"time": _packed(time - time[0]), "begin": float(time[0]), **poses}
+
+
+def _shapes(seen: xr.Dataset, meshes: xr.Dataset) -> list[dict[str, Any]]:
+    found, vertex, face = [], 0, 0
+    for k in range(seen.sizes["geom"]):
+        one = {name: _numbers(seen[name].values[k]) for name in ("size", "position", "quaternion", "colour")}
+        one |= {"kind": str(seen["kind"].values[k]), "body": int(seen["of_body"].values[k])}
+        num_vertices, num_faces = int(seen["num_vertices"].values[k]), int(seen["num_faces"].values[k])
+        if num_faces:
+            one["vertices"] = _packed(meshes["vertices"].values[vertex : vertex + num_vertices])
+            one["faces"] = _packed(meshes["faces"].values[face : face + num_faces], "<u4")
+        vertex, face = vertex + num_vertices, face + num_faces
+        found.append(one)
+    return found
+
+
+def _sizes(seen: xr.Dataset, meshes: xr.Dataset) -> Float[np.ndarray, " geoms"]:
+    """Radius of a sphere about each shape [m]."""
+    sizes, vertex = [], 0
+    for k in range(seen.sizes["geom"]):
+        count = int(seen["num_vertices"].values[k])
+        vertices = meshes["vertices"].values[vertex : vertex + count]
+        own = (
+            np.linalg.norm(vertices, axis=1).max()
+            if count
+            else _radius(str(seen["kind"].values[k]), seen["size"].values[k])
+        )
+        sizes.append(float(own))
+        vertex += count
+    return np.array(sizes)
+
+
+def _scales(seen: xr.Dataset, sizes: Float[np.ndarray, " geoms"], radius: float) -> Float[np.ndarray, " bodies"]:
+    """How many times larger each body is drawn, so that none is too small to be seen."""
+    reach = np.zeros(seen.sizes["bodies"])
+    for body, position, size in zip(seen["of_body"].values, seen["position"].values, sizes, strict=True):
+        if body >= 0:
+            reach[body] = max(reach[body], float(np.linalg.norm(position)) + size)
+    scales = np.maximum(1.0, SMALLEST * radius / np.maximum(reach, 1e-12))
+    return np.where((scales > 1.05) & (reach > 0), scales, 1.0)
+
+
+def _centres(seen: xr.Dataset, poses: Float[np.ndarray, "frames bodies 7"]) -> Float[np.ndarray, "frames geoms 3"]:
+    """Where the shapes of moving bodies are."""
+    of_body = seen["of_body"].values
+    moving = poses[:, of_body[of_body >= 0]]
+    offset = np.broadcast_to(seen["position"].values[of_body >= 0], (*moving.shape[:2], 3))
+    w, v = moving[..., 3:4], moving[..., 4:]
+    turned = offset + 2 * np.cross(v, np.cross(v, offset) + w * offset)
+    return moving[..., :3] + turned
+
+
+def _radius(kind: str, size: np.ndarray) -> float:
+    """Of a sphere about a geom."""
+    if kind == "sphere":
+        return float(size[0])
+    if kind == "capsule":
+        return float(size[0] + size[1])
+    return float(np.linalg.norm(size[:2] if kind in ("cylinder", "plane") else size))
+
+
+def _bounds(points: Float[np.ndarray, "frames geoms 3"], sizes: Float[np.ndarray, " geoms"]) -> np.ndarray:
+    """Lowest and highest corner (2, 3) of what moves, shapes included; far excursions of a few frames aside."""
+    corners = []
+    for shape, size in enumerate(sizes):
+        there = points[np.isfinite(points[:, shape]).all(1), shape]
+        if len(there):
+            low, high = np.quantile(there, [0.005, 0.995], axis=0)
+            corners += [low - size, high + size]
+    return np.array([np.min(corners, axis=0), np.max(corners, axis=0)])
+
+
+def _view(points: np.ndarray) -> Float[np.ndarray, "3"]:
+    """Unit vector towards the eye: somewhat above and aside of the horizontal direction along which least moves."""
+    spread = np.zeros((2, 2))
+    for shape in range(points.shape[1]):
+        flat = points[:, shape, :2]
+        flat = flat[np.isfinite(flat).all(1)]
+        spread += np.cov(flat, rowvar=False) if len(flat) > 1 else 0.0
+    values, vectors = np.linalg.eigh(spread)
+    least = vectors[:, 0] * (-1.0 if vectors[1, 0] > 0 else 1.0)  # from the front, which mostly is -y
+    if values[1] < 1e-12:  # nothing moves sideways
+        least = np.array([0.0, -1.0])
+    turn = np.array([[np.cos(ASIDE), -np.sin(ASIDE)], [np.sin(ASIDE), np.cos(ASIDE)]])
+    level = np.sqrt(max(values[0], 0.0) / values[1]) if values[1] > 1e-12 else 0.0
+    rise = ELEVATION + HIGHER * level
+    return np.append(np.cos(rise) * (turn @ least), np.sin(rise))
+
+
+def _packed(values: np.ndarray, dtype: str = "<f4") -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype).tobytes()).decode("ascii")
+
+
+def _numbers(values: np.ndarray) -> list[float]:
+    return [float(f"{value:.{DIGITS}g}") for value in np.asarray(values, float)]
