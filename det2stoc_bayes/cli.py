@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from det2stoc_bayes.cli_help import EXAMPLES, SHELL, experiments, methods, starting
 from det2stoc_bayes.errors import Det2StocError, listing
 from det2stoc_bayes.files import check_folder
 from det2stoc_bayes.models import PROBLEMS, VECTORS, no_study
@@ -21,13 +22,14 @@ if TYPE_CHECKING:
     import det2stoc_bayes.study  # a dotted name, so that the checker of the tests can look it up
 
 LEAST_DRAWS, MOST_DRAWS, MOST_SEED = 4, 10_000_000, 2**63 - 1
+REFINED = "svi+psis for a refined one"
 EQUAL = "as many more as make chains equally long"
 
 app = typer.Typer(
     name="det2stoc",
     help="Posteriors over simulator parameters, and the physics that a simulator leaves out.",
     no_args_is_help=True,
-    add_completion=False,
+    epilog=SHELL,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
@@ -58,7 +60,7 @@ def main() -> None:
     app(prog_name="det2stoc")
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["check"])
 def check(study: StudyFolder, seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None:
     """Say what a study's recordings can identify."""
     with reporting(debug) as stages:
@@ -68,11 +70,13 @@ def check(study: StudyFolder, seed: Seed = 0, as_json: Json = False, debug: Debu
     show(tables.check_json(checked) if as_json else tables.check_tables(checked), as_json)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["fit"])
 def fit(
     study: StudyFolder,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where fit.nc goes.", show_default=False)],
-    method: Annotated[str, typer.Option(metavar="NAME", help="An inference method.")] = "nuts",
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="An inference method.", autocompletion=starting(methods))
+    ] = "nuts",
     engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
     num_samples: Annotated[int, typer.Option(min=LEAST_DRAWS, max=MOST_DRAWS, help=f"Draws in all; {EQUAL}.")] = 1000,
     refine: Annotated[Literal["none", "psis"], typer.Option(help="Resample by the exact likelihood.")] = "none",
@@ -104,11 +108,14 @@ def fit(
     show(shown, as_json)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["compare"])
 def compare(
     problem: StudyOrProblem,
     methods: Annotated[
-        str, typer.Option(metavar="A,B,...", help="Inference methods; svi+psis for a refined one.", show_default=False)
+        str,
+        typer.Option(
+            metavar="A,B,...", help=f"Inference methods; {REFINED}.", autocompletion=starting(methods, listed=True)
+        ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where runs and report go.", show_default=False)],
     engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
@@ -148,11 +155,11 @@ def compare(
     show_report(told if as_json else tables.compare_table(found, name), out, as_json)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["calibrate"])
 def calibrate(
     problem: AnyProblem,
     method: Annotated[
-        str, typer.Option(metavar="NAME", help="An inference method; svi+psis for a refined one.", show_default=False)
+        str, typer.Option(metavar="NAME", help=f"An inference method; {REFINED}.", autocompletion=starting(methods))
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where replications and report go.", show_default=False)],
     num_replications: Annotated[
@@ -185,7 +192,7 @@ def calibrate(
     show_report(told if as_json else tables.calibration_tables(found), out, as_json)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["diagnose"])
 def diagnose(
     study: StudyFolder,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the report goes.", show_default=False)],
@@ -205,10 +212,10 @@ def diagnose(
     show_report(finding.model_dump(mode="json") if as_json else tables.finding_tables(finding), out, as_json)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["reproduce"])
 def reproduce(
     experiment: Annotated[
-        str, typer.Argument(metavar="EXPERIMENT", help="trivariate or windy-slope.", show_default=False)
+        str, typer.Argument(metavar="NAME", help="trivariate or windy-slope.", autocompletion=starting(experiments))
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.", show_default=False)],
     quick: Annotated[bool, typer.Option("--quick", help="A look in minutes.")] = False,
@@ -230,7 +237,7 @@ def reproduce(
     show_report(result if as_json else tables.experiment_table(result), out, as_json)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["export"])
 def export(
     study: StudyFolder,
     posterior_file: Annotated[Path, typer.Argument(metavar="FIT", help="fit.nc or its folder.", show_default=False)],
@@ -256,7 +263,7 @@ def export(
     show(shown, as_json)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["effects"])
 def effects(seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None:
     """List the effects that a diagnosis knows."""
     with reporting(debug):
@@ -288,3 +295,4 @@ def _load(folder: Path) -> "det2stoc_bayes.study.Study":
 
 from det2stoc_bayes import cli_blind as cli_blind  # noqa: E402  a command that takes its options from here
 from det2stoc_bayes import cli_import as cli_import  # noqa: E402  and those that bring recordings in and out
+from det2stoc_bayes import cli_serve as cli_serve  # noqa: E402

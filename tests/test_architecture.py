@@ -13,6 +13,7 @@ EDGE = (
     "cli.py",
     "cli_blind.py",
     "cli_import.py",
+    "cli_serve.py",
     "streams.py",
     "verbs.py",
     "verbs_calibrate.py",

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -13,11 +14,13 @@ from threading import Event
 
 import numpy as np
 import pytest
+import typer
 from conftest import HINGE, make_study, model_xml
 from rich.console import Console
 from typer.testing import CliRunner
 
-from det2stoc_bayes import cli, identifiability, progress, verbs
+from det2stoc_bayes import cli, identifiability, progress, verbs, verbs_calibrate
+from det2stoc_bayes.cli_help import EXAMPLES
 from det2stoc_bayes.errors import StudyError
 from det2stoc_bayes.identifiability import check
 
@@ -75,20 +78,10 @@ def test_help_lists_what_exists_and_imports_no_library():
     code += "assert not heavy, heavy"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert shown.returncode == 0, shown.stderr
-    listed = [line.split()[0] for line in shown.stdout.split("Commands:")[1].splitlines() if line.strip()]
-    imports = ["import", "fetch", "export-recordings"]
-    assert listed == [
-        "check",
-        "fit",
-        "compare",
-        "calibrate",
-        "diagnose",
-        "reproduce",
-        "export",
-        "effects",
-        "blind",
-        *imports,
-    ]
+    commands = shown.stdout.split("Commands:\n")[1].split("\n\n")[0]
+    listed = [line.split()[0] for line in commands.splitlines()]
+    expected = ["check", "fit", "compare", "calibrate", "diagnose", "reproduce", "export", "effects", "blind"]
+    assert listed == [*expected, "import", "fetch", "export-recordings", "serve"]
 
 
 def test_check_says_what_can_be_identified(study):
@@ -216,8 +209,8 @@ def test_a_file_in_place_of_a_folder_is_an_error_before_the_work(study, tmp_path
     ],
 )
 def test_a_folder_in_place_of_a_file_is_an_error_before_the_work(study, tmp_path, monkeypatch, command, file):
-    for work in ("fit", "_drawn", "_posed", "diagnose"):
-        monkeypatch.setattr(verbs, work, lambda *_, **__: pytest.fail("it was begun"))
+    for home, work in ((verbs, "fit"), (verbs, "_drawn"), (verbs_calibrate, "_posed"), (verbs, "diagnose")):
+        monkeypatch.setattr(home, work, lambda *_, **__: pytest.fail("it was begun"))
     (tmp_path / "out" / file).mkdir(parents=True)
     shown = run(command[0], study, *command[1:], "--out", tmp_path / "out")
     assert shown.exit_code == 2
@@ -319,3 +312,29 @@ def test_the_package_offers_its_verbs_lazily():
     assert det2stoc_bayes.__version__
     with pytest.raises(AttributeError, match="no attribute 'unknown'"):
         det2stoc_bayes.unknown  # noqa: B018
+
+
+def test_examples_in_help_are_commands_that_exist():
+    group = typer.main.get_command(cli.app)
+    for name, text in EXAMPLES.items():
+        assert text.splitlines()[0] == "\b"  # or its lines would be joined
+        for line in text.splitlines()[2:]:
+            program, command, *arguments = shlex.split(line)
+            assert (program, command) == ("det2stoc", name)
+            told = group.commands[name].make_context(name, list(arguments))
+            assert told.params
+
+
+@pytest.mark.parametrize(
+    "words, expected",
+    [
+        ("det2stoc fit S --method n", {"npe", "nuts"}),
+        ("det2stoc compare S --methods laplace,n", {"laplace,npe", "laplace,nuts"}),
+        ("det2stoc reproduce w", {"windy-slope"}),
+        ("det2stoc ser", {"serve"}),
+    ],
+)
+def test_the_shell_completes_names(words, expected):
+    env = {"_DET2STOC_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    told = CliRunner().invoke(cli.app, prog_name="det2stoc", env=env)
+    assert set(told.stdout.split()) == expected

@@ -66,6 +66,7 @@ def rollout_figure(told: Mapping[str, Any]) -> Spec:
         if name in told:
             values = np.array(told[name], float)
             style: Spec = {"hovertemplate": "%{y:.4~g}", "width": 1.2 if name == "observed" else 2.0}
+            style["meta"] = label
             traces.append(canvas.line(time, values, label, colour, **style))
     axes = {"xaxis": canvas.axis("time [s]"), "yaxis": canvas.axis(told["channel"])}
     return {"data": traces, "layout": canvas.layout(220, **axes)}

@@ -61,7 +61,7 @@ def headline(told: Summary) -> str:
 def _badge(told: Summary) -> tuple[str, str]:
     """Its class and its text: whether a test rejects what was stated."""
     tests = {"intervals": [c.p_value for c in told.coverage if c.name == "both" and c.count]}
-    tests["probabilities"] = [told.reliability.p_value] if told.reliability else []
+    tests["stated probabilities"] = [told.reliability.p_value] if told.reliability else []
     rejected = [name for name, p in tests.items() if any(v < LEVEL for v in p)]
     if rejected:
         return "mismatch", f"{' and '.join(rejected)} rejected at {LEVEL:.0%}".capitalize()
