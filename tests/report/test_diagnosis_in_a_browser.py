@@ -89,6 +89,10 @@ def test_every_figure_is_drawn_and_the_first_screen_says_it_all(browser, url, ve
         page.locator("#theme").click()
         until(page, f"{line} !== '{before}'")
         assert page.evaluate(paper) == PAPER["dark" if scheme == "light" else "light"]
+        colours = (
+            "['before', 'after'].map((n) => getComputedStyle(document.documentElement).getPropertyValue(`--${n}`))"
+        )
+        assert len(set(page.evaluate(colours))) == (1 if verdict == "no_mismatch" else 2)  # one model, one colour
 
 
 @pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
