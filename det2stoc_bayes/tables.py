@@ -12,7 +12,7 @@ from rich.text import Text
 if TYPE_CHECKING:
     # Dotted names, so that the checker of the tests can look them up.
     import det2stoc_bayes.calibration
-    import det2stoc_bayes.compare
+    import det2stoc_bayes.comparison
     import det2stoc_bayes.identifiability
     import det2stoc_bayes.mismatch.effects.base
     import det2stoc_bayes.mismatch.finding
@@ -178,7 +178,7 @@ def experiment_table(result: Mapping[str, Any]) -> RenderableType:
 VERDICTS = {"trust": "green", "trust after refinement": "yellow", "do not trust": "red", "no posterior": "yellow"}
 
 
-def compare_json(found: "det2stoc_bayes.compare.Comparison") -> dict[str, Any]:
+def compare_json(found: "det2stoc_bayes.comparison.Comparison") -> dict[str, Any]:
     """All numbers."""
     held = found.reference
     reference = held and {"label": held.label, "agreeing": held.agreeing, "contradicting": held.contradicting}
@@ -189,7 +189,7 @@ def compare_json(found: "det2stoc_bayes.compare.Comparison") -> dict[str, Any]:
     }
 
 
-def compare_table(found: "det2stoc_bayes.compare.Comparison", name: str) -> RenderableType:
+def compare_table(found: "det2stoc_bayes.comparison.Comparison", name: str) -> RenderableType:
     """A line a method: what its draws are worth, how far they are from the reference, what they took, a verdict."""
     against = f"against {found.reference.label}" if found.reference else "no exact run that passes its gates"
     headings = (

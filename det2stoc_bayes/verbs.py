@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray
 
-    from det2stoc_bayes.compare import Comparison, Kind, Reference
+    from det2stoc_bayes.comparison import Comparison, Kind, Reference
     from det2stoc_bayes.inference._stochastic import StochasticSimulator
     from det2stoc_bayes.mismatch.diagnose import Diagnosis
 
@@ -76,7 +76,7 @@ def compare(
     one, 0: one a core) or the workers of the Dask scheduler `cluster`, each of which simulates by one thread.
     """
     from det2stoc_bayes import posterior
-    from det2stoc_bayes.compare import Run, compare
+    from det2stoc_bayes.comparison import Run, compare
     from det2stoc_bayes.executors import Here, finished, workers
     from det2stoc_bayes.inference import METHODS
 
@@ -117,7 +117,7 @@ def compare(
 
 def _known(name: str, out: Path, seed: int) -> "tuple[Study, Reference | None]":
     """A problem of `models`, written as a study, and its posterior where that is known."""
-    from det2stoc_bayes.compare import known_reference
+    from det2stoc_bayes.comparison import known_reference
     from det2stoc_bayes.models import closed_form, record
     from det2stoc_bayes.study import load_study
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from det2stoc_bayes.compare import Comparison, Row, Run
+from det2stoc_bayes.comparison import Comparison, Row, Run
 from det2stoc_bayes.doubts import misfit
 from det2stoc_bayes.psis import reliable
 from det2stoc_bayes.report import compare_figures as figures

@@ -9,7 +9,7 @@ from scipy.stats import chi2, norm
 from typer.testing import CliRunner
 
 from det2stoc_bayes import cli, verbs
-from det2stoc_bayes.compare import Run, compare, shortcomings
+from det2stoc_bayes.comparison import Run, compare, shortcomings
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.inference import EXACT, get_method
 from det2stoc_bayes.models import linear_gaussian
