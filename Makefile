@@ -5,7 +5,7 @@ UV_VERSION := 0.13.8
 BIN := .venv/bin
 READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
 
-.PHONY: help test test-long test-browser browser vendor lint format demo bench real stripped amortized tuning compare compare-sbi clean
+.PHONY: help test test-long notebooks docs test-browser browser vendor lint format demo bench real stripped amortized tuning compare compare-sbi clean
 NAMES := pendulum_multiarm servo_xl330 ball_drops
 STUDIES ?= ../shared/studies
 BENCHMARKS := bad_input sysid_silence transitions
@@ -17,9 +17,11 @@ help:
 	@echo "make browser  install a Chromium for the tests of pages, where apt-get can"
 	@echo "make test-browser  the tests of pages in a Chromium alone"
 	@echo "make vendor  bundle the pages' three.js anew, by npm"
+	@echo "make notebooks  run the teaching notebooks, check their figures; executed copies in out/notebooks"
+	@echo "make docs    build the documentation site in out/site, its links checked"
 	@echo "make demo    conceal an effect, diagnose it, compare"
 	@echo "make lint    ruff and pyright alone"
-	@echo "make format  let ruff put the files in shape"
+	@echo "make format  let ruff put the files in shape, and notebooks follow their scripts"
 	@echo "make bench   the benchmarks"
 	@echo "make real    diagnose real recordings: STUDIES=folder NAMES=\"one two\""
 	@echo "make stripped  the same without a documented piece of their models"
@@ -57,6 +59,14 @@ lint: $(READY)
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+	$(BIN)/jupytext --quiet --update --to ipynb notebooks/*.py
+
+notebooks: $(READY)
+	$(BIN)/python -m pytest -m notebooks --dist=load tests/notebooks
+
+docs: $(READY)
+	@UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --group docs --python $(BIN)/python
+	$(BIN)/python -m pytest -m docs tests/docs
 
 demo: $(READY)
 	@$(BIN)/python -m det2stoc_bayes.blind.demo
