@@ -1,5 +1,6 @@
 """The documentation site, by `make docs`: it builds strictly, and every link of it leads somewhere."""
 
+import html
 import os
 import re
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.docs, pytest.mark.timeout(600)]
+HOW_TO = ("effect", "method", "system")
 LOADED = {"script": "src", "img": "src", "iframe": "src"}  # and stylesheets: what a page needs beside itself
 
 
@@ -90,6 +92,13 @@ def test_nothing_is_loaded_from_elsewhere(pages):
 def test_formulas_are_mathml(pages):
     text = (ROOT / "out" / "site" / "statistics.html").read_text(encoding="utf-8")
     assert text.count("<math ") >= 8 and "arithmatex" not in text
+
+
+def test_examples_are_shown_whole(pages):
+    text = "".join((ROOT / "out" / "site" / "howto" / f"{name}.html").read_text("utf-8") for name in HOW_TO)
+    shown = html.unescape(re.sub(r"<[^>]+>", "", text))
+    for path in (ROOT / "docs" / "examples").iterdir():
+        assert path.suffix not in (".py", ".xml") or path.read_text(encoding="utf-8").strip() in shown, path.name
 
 
 def test_the_catalogue_is_there(pages):
