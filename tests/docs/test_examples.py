@@ -122,7 +122,9 @@ def test_printed_commands_and_options_exist():
     group = typer.main.get_command(cli.app)
     seen = set()
     for page, words in commands():
-        command = group.commands.get(words[1])
+        command, rest = group, words[1:]
+        while rest and hasattr(command, "commands"):
+            command, rest = command.commands.get(rest[0]), rest[1:]
         assert command is not None, f"{page}: {words}"
         options = {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}
         given = {word.split("=")[0] for word in words if word.startswith("--")}
@@ -133,10 +135,9 @@ def test_printed_commands_and_options_exist():
 
 def test_printed_python_and_toml_are_valid():
     texts = list(blocks("python"))
-    assert len(texts) > 5
+    assert len(texts) >= 5
     for page, text in texts:
-        if not text.startswith("--8<--"):
-            compile(text, page, "exec")
+        compile(text, page, "exec")
     for _, text in blocks("toml"):
         tomllib.loads(text)
 
