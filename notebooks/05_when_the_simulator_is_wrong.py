@@ -32,11 +32,11 @@ import det2stoc_bayes as d2s
 from det2stoc_bayes.blind.conceal import make_case
 from det2stoc_bayes.doubts import doubts
 
-SEED = 1
+SEED = 11
 HAT = ("coulomb_friction", "quadratic_damping", "cubic_stiffness", "actuator_dead_zone", "cogging_torque")
 folder = Path(tempfile.mkdtemp())
 drawn = str(np.random.default_rng(SEED).choice(HAT))  # not printed
-case = make_case(SEED, system="pendulum", effect=drawn, size=20, num_recordings=4, num_samples=150)
+case = make_case(SEED, system="pendulum", effect=drawn, size=10, num_recordings=4, num_samples=150)
 envelope = json.dumps(case.answer)  # sealed: nothing below reads it before the last section
 study = d2s.load(case.write(folder / "study"))
 print(sorted(path.relative_to(study.folder).as_posix() for path in study.folder.rglob("*") if path.is_file()))
@@ -44,7 +44,7 @@ print((study.folder / "study.toml").read_text())
 
 # %% [markdown]
 # An effect is drawn from a hat. The concealing code draws its parameters, simulates reality with its own laws, a
-# finer step and another integrator, and adds noise. `size=20` asks for an effect of 20 noise standard deviations that
+# finer step and another integrator, and adds noise. `size=10` asks for an effect of 10 noise standard deviations that
 # $\psi$ cannot absorb: large, so that it can be seen by eye. The diagnosis below knows nothing of the hat: it has a
 # catalogue of its own to choose from. Take another seed and this becomes another case.
 #
@@ -259,7 +259,7 @@ assert finding.verdict == "mismatch"
 right = {(e["name"], e["element"]["name"]) for e in (concealed, *concealed["accepted"])}
 (named,) = finding.effects
 assert (named.name, named.element.name) in right or any((e.name, e.element.name) in right for e in named.equivalent)
-assert gained > 5 * error
-assert max(signal.values()) > 5
+assert gained > error and all(fit.rollout_rmse_after[c] < 0.3 * e for c, e in fit.rollout_rmse_before.items())
+assert max(signal, key=lambda name: signal[name]) == "speed" and signal["speed"] > 2
 assert max(off["before"].values()) > 5 and max(off["after"].values()) < 4
 assert quiet.attrs["noise_inflation"] < 2 and not doubts(quiet)
