@@ -101,13 +101,15 @@ figure.tight_layout()
 plt.show()
 
 # %% [markdown]
-# **What to see:** left of the crossing the weighted estimate (right figure) is no longer to be had, and k-hat says so
-# *without knowing the truth*. Right of it the weights repair what the approximation got wrong.
+# **What to see:** on the right the weights repair what the approximation got wrong, as long as it is not much too
+# narrow; where they fail k-hat is high, and it says so *without knowing the truth*. It is an estimate itself: of a
+# finite number of draws it leans towards 0.5, so that near the line it is generous. Look at the second point from the
+# left.
 #
 # ## Five methods, one posterior
 #
 # A mass on two tilted slides under unknown gravity: linear and Gaussian, so that the posterior is known. Budgets are
-# small, so that all of this takes a minute. `npe` (neural posterior estimation: a conditional flow learns the
+# small. `npe` (neural posterior estimation: a conditional flow learns the
 # posterior from simulated recordings) gets 400 simulations and one network in place of 5000 and four; a linear
 # problem forgives that, since what is linear is found by regression before any network learns. `svi` with a diagonal
 # guide *cannot* be right: it has no word for correlation.
@@ -218,7 +220,7 @@ assert (np.abs(accuracy - norm.cdf(shifts / 2)) < 0.08).all()
 narrow = widths < 1
 assert (np.abs(k_hats[narrow] - (1 - widths[narrow] ** 2)) < 0.25).all()
 good = k_hats < reliable(4000)
-assert (np.abs(squares[good] - 1) < 0.25).all()
+assert (np.abs(squares[good] - 1) < 0.35).all() and abs(squares[0] - 1) > 0.4
 for label in ("nuts", "emcee", "laplace"):
     assert rows[label].c2st < 0.58 and rows[label].verdict == "trust", label
 assert rows["svi, diagonal"].c2st > max(rows[label].c2st for label in ("nuts", "emcee", "laplace"))
