@@ -57,7 +57,7 @@ print((study.folder / "study.toml").read_text())
 # %%
 fitted = d2s.fit(study, "laplace")
 for name, draws in fitted.posterior.data_vars.items():
-    print(f"{name:14} {float(draws.mean()):8.4f} ± {float(draws.std()):.4f}")
+    print(f"{name:14} {float(draws.mean()):8.4f} ± {float(draws.std()):.1g}")
 print(f"squared misfit over noise: {fitted.attrs['noise_inflation']:.3g}")
 for doubt in doubts(fitted):
     print("warning:", doubt)
