@@ -103,6 +103,19 @@ for number in range(2):
 print((folder / "recordings" / "run_0.csv").read_text()[:120], "...")
 
 # %% [markdown]
+# **What to see:** commands that are small and large, slow and sudden, to either side. What a recording does not excite it
+# cannot tell.
+
+# %%
+time, position, sent = np.loadtxt(folder / "recordings" / "run_0.csv", delimiter=",", skiprows=1).T
+figure, axes = plt.subplots(2, 1, figsize=(8, 4), sharex=True)
+axes[0].plot(time, position, ".", ms=3)
+axes[0].set(ylabel="qpos/rail [m]", title="The first run")
+axes[1].step(time, sent, where="post")
+axes[1].set(ylabel="ctrl/motor [N]", xlabel="time [s]")
+plt.show()
+
+# %% [markdown]
 # ## The study, and what happens when it is wrong
 #
 # `study.toml` names what is uncertain. A first try, with everything that we are not sure of, and a spelling mistake.
