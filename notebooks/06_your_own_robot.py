@@ -103,8 +103,8 @@ for number in range(2):
 print((folder / "recordings" / "run_0.csv").read_text()[:120], "...")
 
 # %% [markdown]
-# **What to see:** commands that are small and large, slow and sudden, to either side. What a recording does not excite it
-# cannot tell.
+# **What to see:** commands that are small and large, slow and sudden, to either side. What a recording does not excite
+# it cannot tell.
 
 # %%
 time, position, sent = np.loadtxt(folder / "recordings" / "run_0.csv", delimiter=",", skiprows=1).T
