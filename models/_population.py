@@ -35,3 +35,14 @@ class Uniforms:
     def draw(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "count psi"]:
         """`count` parameters."""
         return random.uniform(self.low, self.high, (count, len(self.low)))
+
+
+def normal_draws(
+    loc: Float[np.ndarray, " psi"],
+    scale: Float[np.ndarray, " psi"],
+    random: np.random.Generator,
+    count: int,
+    least: tuple[float, ...],
+) -> Float[np.ndarray, "count psi"]:
+    """psi of independent normals, moved to what each is at least."""
+    return np.maximum(loc + scale * random.standard_normal((count, len(loc))), least)

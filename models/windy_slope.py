@@ -23,7 +23,7 @@ STATE = (
     *("x", "y", "z"), *(f"R{i}{j}" for i in range(3) for j in range(3)), *("vx", "vy", "vz"), *("wx", "wy", "wz"),
 )  # fmt: skip
 NUM_STEPS = 100
-LEAST_FRICTION = 0.01
+LEAST = (0.01, -np.inf, -np.inf)  # of psi: friction is positive
 SUBSTEPS = 20  # of 2 ms
 CHUNK = 512  # episodes that are stepped together
 
@@ -31,15 +31,6 @@ CHUNK = 512  # episodes that are stepped together
 REALITY = Normals((0.23, 0.11, -1.7), (0.01, 0.04, 0.05))
 PRIOR = Normals((0.25, 0.0, -1.0), (0.1, 0.2, 1.0), (0.1, -0.25, -3.0), (0.4, 0.25, 1.0))
 CALM_PRIOR = Normals((0.25, 0.0, 0.0), (0.1, 0.2, 0.5), (0.1, -0.25, -1.0), (0.4, 0.25, 1.0))  # truth outside
-
-
-def normal_draws(
-    loc: Float[np.ndarray, " 3"], scale: Float[np.ndarray, " 3"], random: np.random.Generator, count: int
-) -> Float[np.ndarray, "count 3"]:
-    """psi of independent normals, friction kept above LEAST_FRICTION."""
-    psi = loc + scale * random.standard_normal((count, 3))
-    psi[:, 0] = np.maximum(psi[:, 0], LEAST_FRICTION)
-    return psi
 
 
 def load_model() -> mujoco.MjModel:

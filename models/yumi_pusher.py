@@ -7,7 +7,6 @@ its x is not 0; it stands on the table as the box does, or a box with its block'
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from det2stoc_bayes.models._arm import Arm
 from det2stoc_bayes.models._population import Normals, Uniforms
+from det2stoc_bayes.models._runs import Runs
 
 MODEL = Path(__file__).with_suffix(".xml")
 NAMES = ("friction", "com")
@@ -37,7 +37,7 @@ BLOCKS = {
 NUM_STEPS = 100
 SUBSTEPS = 10  # of 4 ms
 CHUNK = 512  # episodes that are stepped together
-LEAST_FRICTION = 0.01
+LEAST = (0.01, -np.inf)  # of psi: friction is positive
 NOISE_JOINT, NOISE_PLACE, NOISE_TURN, NOISE_VELOCITY = 1e-3, 1e-4, 1e-3, 1e-3  # rad (/s), m, rad, m/s and rad/s
 GOAL = np.array([0.63, 0.0])
 CENTRE, HALF_SIDE = np.array([0.46, 0.0]), 0.1  # of the square that boxes start in [m]
@@ -49,15 +49,6 @@ REALITY = Normals((0.28, 0.035), (0.01, 0.005))
 PRIOR = Uniforms((0.1, -0.05), (0.4, 0.05))
 
 Act = Callable[[Float[np.ndarray, "sims 60"]], Float[np.ndarray, "sims 14"]]
-
-
-@dataclass(frozen=True, eq=False)
-class Episodes:
-    """Measured states and the commands between them; what the simulator's own state was."""
-
-    states: Float[np.ndarray, "episodes samples 60"]
-    actions: Float[np.ndarray, "episodes steps 14"]
-    full: Float[np.ndarray, "episodes samples 41"]  # qpos and qvel
 
 
 def load_model() -> mujoco.MjModel:
@@ -103,7 +94,7 @@ def simulate(
     num_steps: int = NUM_STEPS,
     num_threads: int = 0,
     progress: Callable[[int, int], None] = lambda *_: None,
-) -> Episodes:
+) -> Runs:
     """Episodes from states; `act` gives what some of them are commanded by, which sees what is measured."""
     model, count = load_model(), len(psi)
     states = np.empty((count, num_steps + 1, len(STATE)))
@@ -120,7 +111,19 @@ def simulate(
                 actions[rows, k] = ctrl[:] = command(states[rows, k])
                 batch.step(nstep=SUBSTEPS)
         progress(rows.stop, count)
-    return Episodes(states, actions, full)
+    return Runs(states, actions, full)
+
+
+def after(
+    psi: Float[np.ndarray, "sims 2"], start: Float[np.ndarray, "sims 41"], actions: Float[np.ndarray, "sims steps 14"]
+) -> Float[np.ndarray, "sims samples 41"]:
+    """qpos and qvel that given commands lead to, the start among them."""
+
+    def replayed(rows: slice) -> Act:
+        left = iter(np.moveaxis(actions[rows], 1, 0))
+        return lambda _: next(left)
+
+    return simulate(psi, start, replayed, np.random.default_rng(0), num_steps=actions.shape[1]).full
 
 
 def state_of(full: Float[np.ndarray, "rows 41"]) -> Float[np.ndarray, "rows 60"]:
