@@ -152,7 +152,8 @@ def test_damped_least_squares_is_least():
 def test_noise_is_as_it_is_told():
     random = np.random.default_rng(0)
     full = yumi_pusher.drawn_starts(random, 1)
-    full[:, 3:7] = [0.5, 0.1, -0.3, 0.8] / np.linalg.norm([0.5, 0.1, -0.3, 0.8])
+    turn = np.array([0.5, 0.1, -0.3, 0.8])
+    full[:, 3:7] = turn / np.linalg.norm(turn)
     state = yumi_pusher.state_of(full)
     rows = np.repeat(state, 4000, 0)
     noisy = yumi_pusher.measured(rows, random)
@@ -165,7 +166,7 @@ def test_noise_is_as_it_is_told():
 
 # --- the pusher -----------------------------------------------------------------------------------
 def test_the_box_comes_to_the_goal(episodes):
-    """Measured: in 94 % of 200 episodes."""
+    """Measured: in 95.5 % of 1000 episodes."""
     assert yumi_pusher.at_goal(episodes.states).mean() >= 0.8
     assert np.linalg.norm(episodes.states[:, 0, 42:44] - yumi_pusher.GOAL, axis=1).min() > 0.05
 
