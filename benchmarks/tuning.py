@@ -19,10 +19,10 @@ from logs import append, logged
 from det2stoc_bayes.blind.proof import revision
 from det2stoc_bayes.inference._amortized import Options, Population, baseline, iterate
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
-from det2stoc_bayes.models import windy_slope
-from det2stoc_bayes.reproduce.windy_slope_scores import transition_scores
-from det2stoc_bayes.reproduce.windy_slope_work import REAL_EPISODES, Settings, Work
-from det2stoc_bayes.transitions import Transitions
+from det2stoc_bayes.models._runs import Runs
+from det2stoc_bayes.reproduce.scores import transition_scores
+from det2stoc_bayes.reproduce.windy_slope_scene import SCENE
+from det2stoc_bayes.reproduce.work import Settings, Work
 
 LOG = Path(__file__).parent / "results" / "tuning.jsonl"
 SEED = 99  # of everything here
@@ -43,37 +43,38 @@ def point(width: int, factor: float) -> Options:
     return replace(base, width=width, few=(base.few[0], width), **rates)
 
 
-def drawn(work: Work, psi: np.ndarray) -> tuple[np.ndarray, Transitions]:
-    """psi of every transition, and transitions under them."""
-    states = work.simulate(psi, "simulating")
-    return np.repeat(psi, windy_slope.NUM_STEPS, 0), Transitions.of_episodes(states)
+def drawn(work: Work, psi: np.ndarray) -> tuple[np.ndarray, Runs]:
+    """psi of every transition, and episodes under them."""
+    return np.repeat(psi, SCENE.num_steps, 0), work.simulate(psi, "simulating")
 
 
 def learned(work: Work, options: Options) -> Iterator[tuple[str, StochasticSimulator]]:
     """Both baselines, and the algorithm's third turn from ever more recordings, as the source has it."""
-    _, states = work.recorded(0)
+    _, runs = work.recorded(0)
     key = work.key("tuning")
     for episodes in work.settings.baselines:
-        made, _ = baseline(Transitions.of_episodes(states[:episodes]), 3, key, options, work.progress)
-        yield f"baseline {episodes * windy_slope.NUM_STEPS}", made
-    psi = windy_slope.PRIOR.draw(work.random(3), NUM_FIRST)
+        made, _ = baseline(runs[:episodes].transitions, 3, key, options, work.progress)
+        yield f"baseline {episodes * SCENE.num_steps}", made
+    psi = SCENE.prior.draw(work.random(3), NUM_FIRST)
     believed = Population.of(psi)
     for turn in range(TURNS):
-        real, (each, simulated) = Transitions.of_episodes(states[: REAL_EPISODES[turn]]), drawn(work, psi)
-        found = iterate(real, simulated, each, believed, jax.random.fold_in(key, turn), options, work.progress)
+        real, (each, simulated) = runs[: SCENE.real_episodes[turn]].transitions, drawn(work, psi)
+        found = iterate(
+            real, simulated.transitions, each, believed, jax.random.fold_in(key, turn), options, work.progress
+        )
         believed = found.next_population
-        psi = windy_slope.normal_draws(believed.loc, believed.scale, work.random(2, turn), NUM_SIMULATED)
+        psi = SCENE.drawn(believed, work.random(2, turn), NUM_SIMULATED)
     yield f"det2stoc {TURNS}", found.simulator
 
 
 def lines(commit: str, width: int, factor: float) -> Iterator[dict[str, Any]]:
     """Scores of a grid point's models on the validation episodes."""
     with tempfile.TemporaryDirectory() as folder:
-        work = Work(Path(folder), Settings(), SEED, lambda *_: None)
-        _, validation = drawn(work, windy_slope.REALITY.draw(work.random(0), NUM_VALIDATION))
+        work = Work(Path(folder), SCENE, Settings(), SEED, lambda *_: None)
+        _, validation = drawn(work, SCENE.reality.draw(work.random(0), NUM_VALIDATION))
         began = time.perf_counter()
         for name, simulator in learned(work, point(width, factor)):
-            scores = transition_scores(simulator, validation, NUM_DRAWS, work.key("scores"))
+            scores = transition_scores(simulator, validation.transitions, NUM_DRAWS, work.key("scores"))
             seconds = round(time.perf_counter() - began, 1)
             about = {"commit": commit, "width": width, "factor": factor, "model": name, "seconds": seconds}
             yield about | {way: scores[way] for way in WAYS}

@@ -215,7 +215,7 @@ def diagnose(
 @app.command(epilog=EXAMPLES["reproduce"])
 def reproduce(
     experiment: Annotated[
-        str, typer.Argument(metavar="NAME", help="trivariate or windy-slope.", autocompletion=starting(experiments))
+        str, typer.Argument(metavar="NAME", help=", ".join(experiments()), autocompletion=starting(experiments))
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.", show_default=False)],
     quick: Annotated[bool, typer.Option("--quick", help="A look in minutes.")] = False,

@@ -1,5 +1,6 @@
 """A learned stochastic simulator beside a fit: kept in it, and how well it tells transitions that it did not see."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -25,13 +26,15 @@ def row_scores(
     num_draws: int,
     key: PRNGKeyArray,
     floor: float | Float[np.ndarray, " s"] = metrics.FLOOR,
+    blocks: Mapping[str, slice] = {},
 ) -> tuple[dict[str, Float[np.ndarray, " rows"]], Float[np.ndarray, "rows s"]]:
     """Three log densities of each transition and the energy score of its draws; its ranks among them.
 
     one_latent: log p(y | x, z) of a single z from the prior; mixture: of the mean over z; matched: of the Gaussian
-    with the draws' moments, its sds at least the floor. In raw units [nat]; the energy score in sds of the changes.
+    with the draws' moments, its sds at least the floor; the same of blocks of the state, by name. In raw units [nat];
+    the energy score in sds of the changes.
     """
-    found: dict[str, list[np.ndarray]] = {n: [] for n in (*DENSITIES, "energy")}
+    found: dict[str, list[np.ndarray]] = {n: [] for n in (*DENSITIES, "energy", *blocks)}
     ranks, unit = [], data.change.std(0)
     unit = np.where(unit > 0, unit, 1.0)
     for k, begin in enumerate(range(0, len(data), ROWS)):
@@ -40,6 +43,9 @@ def row_scores(
         found["one_latent"].append(terms[0])
         found["mixture"].append(metrics.mixture_log_density(terms))
         found["matched"].append(metrics.matched_log_density(draws, part.change, floor))
+        for name, columns in blocks.items():
+            least = np.broadcast_to(floor, unit.shape)[columns]
+            found[name].append(metrics.matched_log_density(draws[..., columns], part.change[:, columns], least))
         found["energy"].append(metrics.energy_score(draws / unit, part.change / unit))
         ranks.append(metrics.pit(draws, part.change))
     return {n: np.concatenate(v) for n, v in found.items()}, np.concatenate(ranks)

@@ -6,15 +6,15 @@ angular velocity 3 (body).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import mujoco.batch
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 from scipy.spatial.transform import Rotation
+
+from det2stoc_bayes.models._population import Normals
 
 MODEL = Path(__file__).with_suffix(".xml")
 NAMES = ("friction", "com", "wind")
@@ -23,39 +23,14 @@ STATE = (
     *("x", "y", "z"), *(f"R{i}{j}" for i in range(3) for j in range(3)), *("vx", "vy", "vz"), *("wx", "wy", "wz"),
 )  # fmt: skip
 NUM_STEPS = 100
-LEAST_FRICTION = 0.01
+LEAST = (0.01, -np.inf, -np.inf)  # of psi: friction is positive
 SUBSTEPS = 20  # of 2 ms
 CHUNK = 512  # episodes that are stepped together
 
 
-@dataclass(frozen=True)
-class Population:
-    """psi's distribution: independent normals, truncated where bounds are finite."""
-
-    loc: tuple[float, ...]
-    scale: tuple[float, ...]
-    low: tuple[float, ...] = (-np.inf,) * 3
-    high: tuple[float, ...] = (np.inf,) * 3
-
-    def draw(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "count 3"]:
-        """`count` parameters."""
-        loc, scale, low, high = (np.asarray(x, float) for x in (self.loc, self.scale, self.low, self.high))
-        a, b = (low - loc) / scale, (high - loc) / scale
-        return np.asarray(stats.truncnorm.rvs(a, b, loc, scale, size=(count, len(loc)), random_state=random))
-
-
-REALITY = Population((0.23, 0.11, -1.7), (0.01, 0.04, 0.05))
-PRIOR = Population((0.25, 0.0, -1.0), (0.1, 0.2, 1.0), (0.1, -0.25, -3.0), (0.4, 0.25, 1.0))
-CALM_PRIOR = Population((0.25, 0.0, 0.0), (0.1, 0.2, 0.5), (0.1, -0.25, -1.0), (0.4, 0.25, 1.0))  # truth outside
-
-
-def normal_draws(
-    loc: Float[np.ndarray, " 3"], scale: Float[np.ndarray, " 3"], random: np.random.Generator, count: int
-) -> Float[np.ndarray, "count 3"]:
-    """psi of independent normals, friction kept above LEAST_FRICTION."""
-    psi = loc + scale * random.standard_normal((count, 3))
-    psi[:, 0] = np.maximum(psi[:, 0], LEAST_FRICTION)
-    return psi
+REALITY = Normals((0.23, 0.11, -1.7), (0.01, 0.04, 0.05))
+PRIOR = Normals((0.25, 0.0, -1.0), (0.1, 0.2, 1.0), (0.1, -0.25, -3.0), (0.4, 0.25, 1.0))
+CALM_PRIOR = Normals((0.25, 0.0, 0.0), (0.1, 0.2, 0.5), (0.1, -0.25, -1.0), (0.4, 0.25, 1.0))  # truth outside
 
 
 def load_model() -> mujoco.MjModel:

@@ -6,7 +6,8 @@ from types import ModuleType
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.suggestions import choices
 
-EXPERIMENTS = {"trivariate": "trivariate", "windy-slope": "windy_slope"}  # name on the command line -> module
+# Name on the command line -> module.
+EXPERIMENTS = {"trivariate": "trivariate", "windy-slope": "windy_slope", "yumi-pusher": "yumi_pusher"}
 
 
 def get_experiment(name: str) -> ModuleType:

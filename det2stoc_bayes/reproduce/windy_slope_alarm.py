@@ -7,8 +7,7 @@ import numpy as np
 from det2stoc_bayes.doubts import ALARM
 from det2stoc_bayes.inference._amortized import Options, Population, iterate
 from det2stoc_bayes.models import windy_slope
-from det2stoc_bayes.reproduce.windy_slope_work import REAL_EPISODES, Work
-from det2stoc_bayes.transitions import Transitions
+from det2stoc_bayes.reproduce.work import Work
 
 PRIORS = {"psi_0": windy_slope.PRIOR, "psi_0 with wind from -1 to 1 m/s": windy_slope.CALM_PRIOR}
 
@@ -20,12 +19,12 @@ def alarms(work: Work) -> dict[str, Any]:
     """
     settings, out = work.settings, {}
     recorded = [
-        Transitions.of_episodes(work.recorded(number, REAL_EPISODES[0])[1])
+        work.recorded(number, work.scene.real_episodes[0])[1].transitions
         for number in range(settings.num_seeds if settings.num_alarm else 0)
     ]
     for name, prior in PRIORS.items() if settings.num_alarm else ():
         psi = prior.draw(work.random(7), settings.num_alarm)
-        simulated = Transitions.of_episodes(work.simulate(psi, "simulating for the alarm"))
+        simulated = work.simulate(psi, "simulating for the alarm", 7).transitions
         each, believed = np.repeat(psi, windy_slope.NUM_STEPS, 0), Population.of(psi)
         options = Options.decoding(settings.decoder_steps)
         decoder, turns = None, []

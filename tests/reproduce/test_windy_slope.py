@@ -11,15 +11,16 @@ from det2stoc_bayes import cli
 from det2stoc_bayes.inference._amortized import Iteration
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.models import windy_slope as scene
-from det2stoc_bayes.reproduce import windy_slope, windy_slope_models
+from det2stoc_bayes.models._runs import Runs
+from det2stoc_bayes.reproduce import experiment, seed_models, windy_slope
+from det2stoc_bayes.reproduce.scene_figures import EDGES, outlines
+from det2stoc_bayes.reproduce.scores import betrayed, population_oracle, rollout_scores
+from det2stoc_bayes.reproduce.seed_models import MARGINAL, ROTATIONS, VARIANTS, Seed
 from det2stoc_bayes.reproduce.windy_slope_alarm import PRIORS
-from det2stoc_bayes.reproduce.windy_slope_figures import EDGES, outlines
-from det2stoc_bayes.reproduce.windy_slope_models import MARGINAL, ROTATIONS, VARIANTS, Seed
-from det2stoc_bayes.reproduce.windy_slope_scores import betrayed, population_oracle, rollout_scores
-from det2stoc_bayes.reproduce.windy_slope_work import Work
-from det2stoc_bayes.transitions import Transitions
+from det2stoc_bayes.reproduce.windy_slope_scene import SCENE, WindySlope
+from det2stoc_bayes.reproduce.work import Settings, Work
 
-TINY = windy_slope.Settings(1, 1, 40, 40, 200, 200, 200, 4, 60, 12, 40, False, (10,))
+TINY = Settings(1, 1, 40, 40, 200, 200, 200, 4, 60, 12, 40, False, (10,))
 
 
 # --- the scene ------------------------------------------------------------------------------------
@@ -102,13 +103,13 @@ def test_the_oracle_is_the_density_of_its_draws():
     start = np.concatenate([np.zeros((40, 3)), states, np.zeros((40, 6))], 1)
     psi, true = random.standard_normal((4000, 3)), random.standard_normal((40, 3))
 
-    def simulate(psi, *, num_steps, start):
-        after = np.concatenate([psi, np.zeros((len(psi), 15))], 1)
-        return np.stack([np.zeros_like(after), after], 1)
+    class Linear(WindySlope):
+        def change(self, runs, psi, rows=slice(None)):
+            return np.concatenate([psi, np.zeros((len(psi), 15))], 1)
 
     change = np.concatenate([true, np.zeros((40, 15))], 1)
-    test = Transitions(start, np.zeros((40, 0)), change, np.zeros(40, int))
-    found = population_oracle(test, psi, simulate, lambda *_: None)
+    test = Runs(np.stack([start, start + change], 1), np.zeros((40, 1, 0)), np.zeros((40, 2, 0)))
+    found = population_oracle(Linear(), test, psi, lambda *_: None)["all"]
     still = 15 * (-np.log(1e-5) - 0.5 * np.log(2 * np.pi))
     expected = (-0.5 * true**2 - 0.5 * np.log(2 * np.pi)).sum(1).mean() + still
     assert found == pytest.approx(expected, abs=0.1)
@@ -117,8 +118,8 @@ def test_the_oracle_is_the_density_of_its_draws():
 def test_right_rollouts_score_best():
     random = np.random.default_rng(3)
     paths = random.standard_normal((600, 101, 18)).cumsum(1)
-    right = rollout_scores(paths[:400], paths[400:])
-    wide = rollout_scores(2 * paths[:400], paths[400:])
+    right = rollout_scores(paths[:400, None], paths[400:])
+    wide = rollout_scores(2 * paths[:400, None], paths[400:])
     assert right["rollout_energy"] < wide["rollout_energy"]
     assert right["rollout_pit_distance"] < 0.1 < wide["rollout_pit_distance"]
 
@@ -128,7 +129,7 @@ def test_right_rollouts_score_best():
 def done(tmp_path_factory):
     out = tmp_path_factory.mktemp("windy")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(windy_slope.Settings, "quick", lambda: TINY)
+        patch.setattr(windy_slope, "QUICK", TINY)
         answer = CliRunner().invoke(cli.app, ["reproduce", "windy-slope", "--quick", "--out", str(out)])
     assert answer.exit_code == 0, answer.output
     assert "oracle: psi from its population" in answer.output
@@ -153,9 +154,9 @@ def test_its_results_hold_every_model(done):
 def test_what_lies_beyond_the_source_s_model(done, monkeypatch):
     """Every variant learns from what the iteration learned from, with its decoder unless its Gaussians differ."""
     settings = replace(TINY, variants=True)
-    work = Work(done, settings, 0, lambda *_: None)
+    work = Work(done, SCENE, settings, 0, lambda *_: None)
     monkeypatch.setattr(Work, "kept", lambda self, name, make: make())
-    psi, states = work.recorded(0)
+    psi, runs = work.recorded(0)
     seen = []
 
     def iterate(real, simulated, psi, believed, key, options, progress, decoder):
@@ -164,10 +165,10 @@ def test_what_lies_beyond_the_source_s_model(done, monkeypatch):
         object.__setattr__(made, "simulator", StochasticSimulator.load(work.saved(0, "det2stoc 1")))
         return made
 
-    monkeypatch.setattr(windy_slope_models, "iterate", iterate)
-    monkeypatch.setattr(windy_slope_models, "transition_scores", lambda simulator, *_: {"is": simulator.rotations})
-    monkeypatch.setattr(windy_slope_models, "rollout_scores", lambda *_: {})
-    made = Seed(work, 0, psi, states, states[:2])._variants({}, 0)
+    monkeypatch.setattr(seed_models, "iterate", iterate)
+    monkeypatch.setattr(seed_models, "transition_scores", lambda simulator, *_: {"is": simulator.rotations})
+    monkeypatch.setattr(seed_models, "rollout_scores", lambda *_: {})
+    made = Seed(work, 0, psi, runs, runs[:2])._variants({}, 0)
     assert list(made) == [f"det2stoc 1, {kind}" for kind in (*VARIANTS, ROTATIONS)]
     assert [m["metrics"]["is"] for m in made.values()] == [(), (), (), (3,)]
     assert all(n == 600 and m == 4000 for n, m, *_ in seen)
@@ -183,8 +184,8 @@ def test_its_page_has_the_source_s_figures(done):
 
 
 def test_what_is_done_is_not_done_again(done, monkeypatch):
-    monkeypatch.setattr(windy_slope.Settings, "quick", lambda: TINY)
-    for module, name in ((windy_slope_models, "iterate"), (windy_slope_models, "baseline"), (windy_slope, "figures")):
+    monkeypatch.setattr(windy_slope, "QUICK", TINY)
+    for module, name in ((seed_models, "iterate"), (seed_models, "baseline"), (experiment, "figures")):
         monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("made again"))
     again = json.loads(json.dumps(windy_slope.run(done, quick=True)))
     assert again == json.loads((done / "results.json").read_text())
@@ -192,7 +193,7 @@ def test_what_is_done_is_not_done_again(done, monkeypatch):
 
 def test_outlines_are_those_of_the_box():
     state = np.concatenate([[1.0, 2.0, 3.0], np.eye(3).reshape(-1), np.zeros(6)])
-    box, block = outlines(state, 0.1)
+    box, block = outlines(SCENE, state, 0.1)
     assert len(EDGES) == 12
     np.testing.assert_allclose(np.linalg.norm(box[:, 0] - box[:, 1], axis=1), 1.0)
     np.testing.assert_allclose(box.reshape(-1, 3).mean(0), [1, 2, 3])

@@ -1,4 +1,4 @@
-"""The page of Windy Slope: log likelihoods beside the source's, what was recovered of psi, and the source's figures."""
+"""The page of an experiment on a scene: log likelihoods beside the source's, recovered psi, the source's figures."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,7 +18,7 @@ CELL, COLUMNS = 120, 3  # of the grid of densities
 SIDES = {"side": (1, 2), "above": (1, 0)}  # coordinates to the right and up
 
 
-def windy_slope_page(result: Mapping[str, Any]) -> str:
+def scene_page(result: Mapping[str, Any]) -> str:
     """The report as html text, from results.json's content."""
     rows, settings = result["rows"], result["settings"]
     main = [r for r in rows if not r["variant"]]
@@ -29,8 +29,8 @@ def windy_slope_page(result: Mapping[str, Any]) -> str:
     largest = [r["name"] for r in rows if r["name"].startswith("baseline")][-1]
     shown = ["simulator", _iterations(result["seeds"][0]["models"])[-1], largest]
     return page.render(
-        "windy_slope.html.j2",
-        title="Windy Slope: det2stoc against a CVAE",
+        "scene.html.j2",
+        title=f"{scene['title']}: det2stoc against a CVAE",
         verdict="mismatch",  # whose page has two colours
         badge_kind="no_mismatch" if ahead > 0 else "mismatch",
         badge="det2stoc ahead" if ahead > 0 else "baseline ahead",
@@ -41,8 +41,9 @@ def windy_slope_page(result: Mapping[str, Any]) -> str:
         settings=settings,
         headings=list(METRICS.values()),
         models=[_model(r) for r in rows],
-        oracles={k: result["oracles"][k] and numbers.number(result["oracles"][k], 4) for k in ("population", "state")},
-        likelihood=page.embedded(likelihood_figure(main, result["oracles"])),
+        oracles=_oracles(result),
+        likelihood=page.embedded(likelihood_figure(main, result["oracles"], scene["oracles"])),
+        blocks=_blocks(result),
         recovered=[row for j in range(len(scene["names"])) for row in _recovered(result, j)],
         alarms=[_alarm(name, found) for name, found in result["alarms"].items()],
         posterior_height=canvas.ROW * settings["num_iterations"],
@@ -56,11 +57,11 @@ def windy_slope_page(result: Mapping[str, Any]) -> str:
             for s in result["figures"]["sweeps"]
         ],
         densities=[
-            (d["step"], page.embedded(density_figure(d, shown, scene["state"]))) for d in result["figures"]["densities"]
+            (d["step"], page.embedded(density_figure(d, shown, scene["shown"]))) for d in result["figures"]["densities"]
         ],
         samples=[p["sample"] for p in result["figures"]["poses"]],
         shown=shown,
-        density_height=CELL * -(-len(scene["state"]) // COLUMNS),
+        density_height=CELL * -(-len(scene["shown"]) // COLUMNS),
         number=numbers.number,
     )
 
@@ -71,12 +72,34 @@ def _iterations(models: Mapping[str, Any]) -> list[str]:
 
 
 def _model(row: Mapping[str, Any]) -> dict[str, Any]:
-    def told(pair: Sequence[float | None]) -> str:
-        return numbers.number(pair[0], 4) if pair[1] is None else numbers.plus_minus(*pair)
-
     source = numbers.plus_minus(*row["source"]) if row["source"] else numbers.MISSING
-    values = [told(row["metrics"][m]) for m in METRICS]
+    values = [_spread(row["metrics"][m]) for m in METRICS]
     return {"name": row["name"], "real": row["real"], "source": source, "values": values}
+
+
+def _oracles(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Where psi comes from, and the log likelihood."""
+    told = result["scene"]["oracles"].items()
+    return [
+        (text, numbers.number(result["oracles"][key], 4)) for key, text in told if result["oracles"][key] is not None
+    ]
+
+
+def _blocks(result: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
+    """Models and oracles: matched log densities of the state's blocks."""
+    names = result["scene"]["blocks"]
+    if not names:
+        return []
+    out = [(r["name"], [_spread(r["metrics"][name]) for name in names]) for r in result["rows"]]
+    for key, text in result["scene"]["oracles"].items():
+        found = result["oracles"]["blocks"][key]
+        out.append((f"oracle: psi from {text}", [numbers.number(found[name], 4) for name in names]))
+    return out
+
+
+def _spread(pair: Sequence[float | None]) -> str:
+    """Mean and sd over seeds, where there are several."""
+    return numbers.number(pair[0], 4) if pair[1] is None else numbers.plus_minus(*pair)
 
 
 def _alarm(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
@@ -116,7 +139,9 @@ def _recovered(result: Mapping[str, Any], j: int) -> list[dict[str, str]]:
     return out
 
 
-def likelihood_figure(rows: Sequence[Mapping[str, Any]], oracles: Mapping[str, Any]) -> Spec:
+def likelihood_figure(
+    rows: Sequence[Mapping[str, Any]], oracles: Mapping[str, Any], sources: Mapping[str, str]
+) -> Spec:
     """Log likelihood of the test set against the number of recorded transitions."""
     traces = []
     for kind, colour in (("baseline", canvas.BEFORE), ("det2stoc", canvas.AFTER)):
@@ -127,10 +152,12 @@ def likelihood_figure(rows: Sequence[Mapping[str, Any]], oracles: Mapping[str, A
             canvas.line(x, y[:, 0], kind, colour, mode="lines+markers", error_y=bars, text=[r["name"] for r in mine],
                         hovertemplate="%{text}: %{y:.4~g}<extra></extra>")
         )  # fmt: skip
-    span = np.array([500.0, 12000.0])
-    for key, name in (("population", "oracle: psi from its population"), ("state", "oracle: psi from p(psi | state)")):
+    reals = [r["real"] for r in rows]
+    span = np.array([min(reals) / 1.2, 1.2 * max(reals)])
+    for key, text in sources.items():
         if oracles[key] is None:
             continue
+        name = f"oracle: psi from {text}"
         level = np.full(2, oracles[key])
         traces.append(canvas.line(span, level, name, canvas.OBSERVED, line={"dash": "dot"}, hovertemplate="%{y:.4~g}"))
     axes = {"xaxis": canvas.axis("recorded transitions", type="log"), "yaxis": canvas.axis("nat a transition")}

@@ -1,4 +1,4 @@
-"""How much of Windy Slope is done, and what all parts of a run share."""
+"""How much of an experiment on a scene is done, and what all parts of a run share."""
 
 import zlib
 from dataclasses import asdict, dataclass
@@ -11,10 +11,11 @@ import jax
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from det2stoc_bayes.models import windy_slope
+from det2stoc_bayes.models._runs import Runs
 from det2stoc_bayes.reproduce.parts import Progress, kept
+from det2stoc_bayes.reproduce.scene import Scene
 
-REAL_EPISODES = (6, 8, 10, 10, 10)  # that each iteration has, of 100 transitions
+STARTS = 8  # what episodes begin with and how they are measured: randomness beside that of psi
 
 
 @dataclass(frozen=True)
@@ -35,17 +36,13 @@ class Settings:
     variants: bool = True  # what lies beyond the source's model
     baselines: tuple[int, ...] = (10, 100)  # episodes that each has
 
-    @classmethod
-    def quick(cls) -> "Settings":
-        """A look in less than three minutes."""
-        return cls(1, 2, 300, 150, 1500, 1500, 1500, 10, 200, 20, 0, variants=False)
-
 
 @dataclass(frozen=True, eq=False)
 class Work:
     """What all parts of a run share."""
 
     out: Path
+    scene: Scene
     settings: Settings
     seed: int
     progress: Progress
@@ -53,7 +50,7 @@ class Work:
     @property
     def asked(self) -> dict[str, Any]:
         """What parts are made from beside the settings: seed, program and scene."""
-        scene = zlib.crc32(windy_slope.MODEL.read_bytes())
+        scene = zlib.crc32(self.scene.model.read_bytes())
         return {"seed": self.seed, "version": version("det2stoc-bayes"), "scene": scene}
 
     def random(self, *what: int) -> np.random.Generator:
@@ -71,16 +68,15 @@ class Work:
         """A part's results, made under these settings."""
         return kept(self.out / "parts" / f"{name}.json", {**self.asked, **asdict(self.settings)}, make)
 
-    def simulate(self, psi: Float[np.ndarray, "episodes 3"], stage: str) -> Float[np.ndarray, "episodes samples 18"]:
-        """States of episodes."""
-        return windy_slope.simulate(psi, progress=partial(self.progress, stage))
+    def simulate(self, psi: Float[np.ndarray, "episodes psi"], stage: str, *what: int) -> Runs:
+        """Episodes; `what` names their randomness."""
+        return self.scene.simulate(psi, self.random(STARTS, *what), partial(self.progress, stage))
 
-    def recorded(
-        self, number: int, first: int | None = None
-    ) -> tuple[Float[np.ndarray, "episodes 3"], Float[np.ndarray, "episodes samples 18"]]:
-        """psi and states of a seed's recordings, as many as any model of it learns from, or the first of them."""
-        psi = windy_slope.REALITY.draw(self.random(1, number), max(*self.settings.baselines, *REAL_EPISODES))[:first]
-        return psi, self.simulate(psi, "simulating the recordings")
+    def recorded(self, number: int, first: int | None = None) -> tuple[Float[np.ndarray, "episodes psi"], Runs]:
+        """psi and episodes of a seed's recordings, as many as any model of it learns from, or the first of them."""
+        count = max(*self.settings.baselines, *self.scene.real_episodes)
+        psi = self.scene.reality.draw(self.random(1, number), count)[:first]
+        return psi, self.simulate(psi, "simulating the recordings", 1, number)
 
     def model(self, number: int, name: str, make) -> dict[str, Any]:
         """What is told of a seed's model."""

@@ -1,4 +1,4 @@
-"""The models of one seed of Windy Slope: baselines, the algorithm's iterations, and what lies beyond the source's."""
+"""The models of one seed of an experiment: baselines, the algorithm's iterations, and what lies beyond the source's."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,12 +10,11 @@ from det2stoc_bayes.files import replacing
 from det2stoc_bayes.inference._amortized import Iteration, Options, Population, baseline, iterate, marginal
 from det2stoc_bayes.inference._cvae import Schedule
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
-from det2stoc_bayes.models import windy_slope
-from det2stoc_bayes.reproduce.windy_slope_scores import rolled_out, rollout_scores, transition_scores
-from det2stoc_bayes.reproduce.windy_slope_work import REAL_EPISODES, Work
+from det2stoc_bayes.models._runs import Runs
+from det2stoc_bayes.reproduce.scores import rolled_out, rollout_scores, transition_scores
+from det2stoc_bayes.reproduce.work import Work
 from det2stoc_bayes.transitions import Transitions
 
-NUM_LATENTS = len(windy_slope.NAMES)
 MARGINAL = "det2stoc z integrated out"
 VARIANTS = {
     "full covariances": Options(full=True),
@@ -23,7 +22,6 @@ VARIANTS = {
     "mixture of 3 as prior": Options(num_components=3),
 }
 ROTATIONS = "valid rotations"
-MATRIX = windy_slope.STATE.index("R00")  # where the rotation matrix begins in the state
 VARIED_TURN = 2  # the third iteration, the source's last; variants are made of the first seed alone
 
 Told = dict[str, Any]
@@ -35,9 +33,9 @@ class Seed:
 
     work: Work
     number: int
-    psi: Float[np.ndarray, "episodes 3"]
-    states: Float[np.ndarray, "episodes samples 18"]
-    tested: Float[np.ndarray, "tests samples 18"]
+    psi: Float[np.ndarray, "episodes psi"]
+    runs: Runs
+    tested: Runs
 
     def models(self) -> dict[str, Told]:
         """All of them by name, each kept as soon as it is done."""
@@ -53,11 +51,13 @@ class Seed:
         work, found = self.work, {}
         options = Options(baseline=Schedule(work.settings.baseline_steps, batch=256, learning_rate=2e-3))
         for episodes in work.settings.baselines:
-            real = Transitions.of_episodes(self.states[:episodes])
+            real = self.runs[:episodes].transitions
             name = f"baseline {len(real)}"
 
             def learn(real: Transitions = real, name: str = name) -> Told:
-                made, history = baseline(real, NUM_LATENTS, work.key(name, self.number), options, work.progress)
+                made, history = baseline(
+                    real, len(work.scene.names), work.key(name, self.number), options, work.progress
+                )
                 return self._scored(made, name, len(real)) | {"steps": history[-1][0]}
 
             found[name] = work.model(self.number, name, learn)
@@ -70,7 +70,7 @@ class Seed:
 
             def learn(turn: int = turn, name: str = name) -> Told:
                 made = self._turned(_next(found, turn) if turn else None, turn)
-                drawn = self.psi[: REAL_EPISODES[turn]]
+                drawn = self.psi[: self.work.scene.real_episodes[turn]]
                 about = {"drawn": {"mean": drawn.mean(0).tolist(), "sd": drawn.std(0, ddof=1).tolist()}}
                 return self._scored(made.simulator, name, len(self._real(turn))) | told(made) | about
 
@@ -85,18 +85,18 @@ class Seed:
     def _iterate(self, believed: Population | None, turn: int, options: Options, decoder: Any = None) -> Iteration:
         psi, simulated = self._simulated(believed, turn) if believed else _first(self.work)
         believed = believed or Population.of(psi)
-        each, key = np.repeat(psi, windy_slope.NUM_STEPS, 0), self.work.key("iteration", self.number, turn)
+        each, key = np.repeat(psi, self.work.scene.num_steps, 0), self.work.key("iteration", self.number, turn)
         return iterate(self._real(turn), simulated, each, believed, key, options, self.work.progress, decoder)
 
     def _real(self, turn: int) -> Transitions:
-        return Transitions.of_episodes(self.states[: REAL_EPISODES[turn]])
+        return self.runs[: self.work.scene.real_episodes[turn]].transitions
 
-    def _simulated(self, believed: Population, turn: int) -> tuple[Float[np.ndarray, "episodes 3"], Transitions]:
+    def _simulated(self, believed: Population, turn: int) -> tuple[Float[np.ndarray, "episodes psi"], Transitions]:
         """psi of a population, and episodes under them."""
         work = self.work
         random = work.random(2, self.number, turn)
-        psi = windy_slope.normal_draws(believed.loc, believed.scale, random, work.settings.num_simulated)
-        return psi, Transitions.of_episodes(work.simulate(psi, "simulating"))
+        psi = work.scene.drawn(believed, random, work.settings.num_simulated)
+        return psi, work.simulate(psi, "simulating", 2, self.number, turn).transitions
 
     def _marginal(self, believed: Population, last: int) -> Told:
         _, simulated = self._simulated(believed, last)
@@ -112,7 +112,7 @@ class Seed:
         def learn(kind: str) -> Told:
             plain = StochasticSimulator.load(self.work.saved(self.number, name))
             if kind == ROTATIONS:
-                made = replace(plain, rotations=(MATRIX,))
+                made = replace(plain, rotations=(self.work.scene.matrix,))
             else:
                 schedule = Options.decoding(self.work.settings.decoder_steps).decoder
                 options = replace(VARIANTS[kind], decoder=schedule)
@@ -125,10 +125,11 @@ class Seed:
 
     def _scored(self, simulator: StochasticSimulator, name: str, real: int) -> Told:
         simulator.save(self.work.saved(self.number, name))
-        draws, test = self.work.settings.num_draws, Transitions.of_episodes(self.tested)
-        scores = transition_scores(simulator, test, draws, self.work.key("scores", self.number))
-        rolled = rolled_out(simulator, self.tested[0, 0], draws, self.work.key("rollouts", self.number))
-        metrics = scores | rollout_scores(rolled, self.tested)
+        work, draws = self.work, self.work.settings.num_draws
+        test, blocks = self.tested.transitions, work.scene.blocks
+        scores = transition_scores(simulator, test, draws, work.key("scores", self.number), blocks)
+        rolled = rolled_out(simulator, work.scene, self.tested, draws, work.key("rollouts", self.number))
+        metrics = scores | rollout_scores(rolled, self.tested.states)
         return {"real": real, "variant": False, "metrics": metrics}
 
 
@@ -156,13 +157,14 @@ def told(found: Iteration) -> Told:
     }
 
 
-def _first(work: Work) -> tuple[Float[np.ndarray, "episodes 3"], Transitions]:
+def _first(work: Work) -> tuple[Float[np.ndarray, "episodes psi"], Transitions]:
     """psi_0 and its simulations."""
-    path = work.out / "parts" / f"psi_0_{work.asked['scene']}_{work.seed}_{work.settings.num_first}.npz"
+    name = f"first_{work.asked['scene']}_{work.seed}_{work.settings.num_first}.npz"
+    path = work.out / "parts" / name
     if not path.is_file():
-        psi = windy_slope.PRIOR.draw(work.random(3), work.settings.num_first)
-        states = work.simulate(psi, "simulating psi_0")
+        psi = work.scene.prior.draw(work.random(3), work.settings.num_first)
+        runs = work.simulate(psi, "simulating psi_0", 3)
         with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, psi=psi, states=states)
+            np.savez(file, psi=psi, states=runs.states, actions=runs.actions)
     data = np.load(path)
-    return data["psi"], Transitions.of_episodes(data["states"])
+    return data["psi"], Transitions.of_episodes(data["states"], data["actions"])
