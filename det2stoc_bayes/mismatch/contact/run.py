@@ -51,10 +51,9 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         rounds.append(one)
         if one.taken is None:
             break
-        base = one.taken
+        base = resettled(one.taken, ROUNDS)  # as settled as what is held against it next
     progress("scoring held-out recordings", 0, 1)
-    final = base if base is before else resettled(base, ROUNDS)
-    said = judged(before, rounds, fine, seed, final)
+    said = judged(before, rounds, fine, seed, base)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
     progress("scoring held-out recordings", 1, 1)
     composer = ContactComposer(said, when, seed)
