@@ -11,10 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.linearization import Point
+from det2stoc_bayes.mismatch.changes import changes
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import by_chance, effective_share, log_evidence
-from det2stoc_bayes.mismatch.race import Ranked, Slot, allowed, gain, tolerance
-from det2stoc_bayes.mismatch.screen import Screened, one_sided
+from det2stoc_bayes.mismatch.put_back import put_back
+from det2stoc_bayes.mismatch.race import Ranked, Slot, added, allowed, gain, tolerance
+from det2stoc_bayes.mismatch.screen import Beside, Screened, one_sided
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 
@@ -22,15 +24,17 @@ KIN = 0.98  # share of an effect's squared response that a rival's columns take 
 AKIN = 0.9  # that is enough where the effect leaves more than chance
 RELATED = 0.7  # and beside other effects: without this one they may be anywhere, as may rivals that start from there
 MOST = 4  # rivals that start anew
+MOST_SIMPLER = 12  # that are looked at
 
 
 def with_kin(slot: Slot, own: Ranked) -> Slot:
     """The slot, its rivals of the same response fitted from the effect's own fit where that tells more."""
     share, fits = effective_share(own.fit), {r.placed: r.fit for r in slot.ranked}
     there = log_evidence(own.fit, share)
-    starts = [
-        start for placed, start in _starts(slot, own) if placed not in fits or log_evidence(fits[placed], share) < there
-    ][:MOST]
+    starts: list[tuple[Problem, Point]] = []
+    for kin in (_starts(slot, own), _simpler(slot, own)):
+        worse = [s for placed, s in kin if placed not in fits or log_evidence(fits[placed], share) < there]
+        starts += worse[:MOST]
     if not starts:
         return slot
     found = [f for f in fit_many(starts, tolerance=tolerance(own.fit)) if f is not None]
@@ -41,6 +45,25 @@ def with_kin(slot: Slot, own: Ranked) -> Slot:
             fits[placed] = f
     ranked = [Ranked(placed, f, gain(slot.base, f, share)) for placed, f in fits.items()]
     return replace(slot, ranked=tuple(sorted(ranked, key=lambda r: -r.gain)))
+
+
+def _simpler(slot: Slot, own: Ranked) -> list[tuple[PlacedEffect, tuple[Problem, Point]]]:
+    """Effects of fewer parameters that take an effect's place where its fit ended, closest first, from there.
+
+    Under a large misfit, far from there, what has more parameters may promise so much more that they were not fitted.
+    """
+    worth = [s.placed for s in slot.screened if s.placed.size < own.placed.size and s.gain > 0][:MOST_SIMPLER]
+    if not worth:
+        return []
+    bare = put_back(own.fit)
+    beside, best = Beside(bare), {}
+    for placed, trial, columns in changes(own.fit, worth, lambda n: None):
+        found = beside.judge(placed, trial, columns)
+        if found is not None and (placed not in best or found.gain > best[placed].gain):
+            best[placed] = found
+    least = (KIN if by_chance(own.fit) else AKIN) * beside.gain(own.fit)
+    near = sorted((s for s in best.values() if s.gain > least), key=lambda s: -s.gain)
+    return [(s.placed, added(bare, s.change, [(s, s.coefficients)])) for s in near]
 
 
 def truer_pair(slot: Slot, own: Ranked, needed: float) -> Fit | None:

@@ -83,6 +83,16 @@ class Beside:
         self.columns = lin.latent.project(lin.columns).reshape(len(self.error), fit.problem.size)
         self.gram, self.slope = self.columns.T @ self.columns, self.columns.T @ self.error
 
+    def gain(self, fit: Fit) -> float:
+        """Drop of the squared residual by the last effect of a fit that stands where this one does, to first order."""
+        x = self.latent.project(fit.linear.columns[..., self.fit.problem.size :]).reshape(len(self.error), -1)
+        cross, count = self.columns.T @ x, x.shape[1]
+        gram = np.block([[self.gram, cross], [cross.T, x.T @ x]])
+        found = add(
+            self.fit, gram, np.concatenate([self.slope, x.T @ self.error]), np.ones(count), np.zeros(count, bool)
+        )
+        return 0.0 if found is None else found.gain
+
     def judge(self, placed: PlacedEffect, trial: Trial, columns: np.ndarray) -> Screened | None:
         """Closed-form evidence of [current unknowns, trial coefficients] against the current unknowns alone."""
         if not np.isfinite(columns).all():

@@ -1,20 +1,19 @@
 """Forces of unlisted shape beside a fit: on which joint, and in which variables, a free curve earns most evidence."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.addition import Addition, add
 from det2stoc_bayes.mismatch.effects.base import SMALL, PlacedEffect
 from det2stoc_bayes.mismatch.effects.elements import Element, Typical
 from det2stoc_bayes.mismatch.effects.unlisted import FORMS, UnlistedForce
+from det2stoc_bayes.mismatch.put_back import put_back
 from det2stoc_bayes.mismatch.response import Response
 from det2stoc_bayes.mismatch.screen import Beside, Screened
-from det2stoc_bayes.optimize import Fit, summarize
+from det2stoc_bayes.optimize import Fit
 
 LENGTHS = ((0.04,), (0.08,), (0.16,), (0.35,), (1.0,))  # over which a curve bends, as shares of the variable's range
 SURFACES = ((0.12, 1.5), (0.35, 0.4), (0.35, 1.5), (1.0, 0.4), (1.0, 1.5))  # and those of two variables
@@ -46,20 +45,10 @@ def reshaped(fit: Fit) -> tuple[Fit, Screened] | None:
 
     The latter is no optimum: it is the fit's own linearization, with what the curve explains put back.
     """
-    problem, own = fit.problem, fit.problem.effects[-1]
-    response, size = Response(fit), problem.size - own.size
+    own = fit.problem.effects[-1]
     effect = own.effect
     assert isinstance(effect, UnlistedForce)
-    z = fit.point.z
-    explained = fit.linear.columns[..., size:] @ z[size:, None]
-    plain = replace(
-        fit.linear,
-        problem=problem.with_effects(problem.effects[:-1]),
-        point=Point(z[:size], fit.point.start),
-        stacked=fit.linear.stacked + explained,
-        columns=fit.linear.columns[..., :size],
-    )
-    bare = summarize(plain, True, "unfinished")
+    bare, response = put_back(fit), Response(fit)
     found = _best(response, Beside(bare), own.element, own.typical, type(effect))
     return None if found is None else (bare, found)
 

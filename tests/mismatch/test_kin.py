@@ -68,6 +68,27 @@ def test_beside_another_effect_distant_rivals_start_from_there_as_well(drag):
             np.testing.assert_array_equal(point.z[: base.problem.size], best.point.z[: base.problem.size])
 
 
+def test_a_simpler_law_that_promised_less_from_afar_is_tried_where_the_larger_one_ended(tmp_path):
+    """Dry friction that only Stribeck's law, which has more parameters, was fitted to."""
+
+    def change(model):
+        model.dof_frictionloss[:] = 0.8
+
+    problem = spring_problem(tmp_path, change=change, noise=1e-3)
+    base = fit(problem)
+    large, small, other = (
+        place(problem, n, "slide", SMALL) for n in ("stribeck_friction", "coulomb_friction", "constant_force")
+    )
+    best = fit(problem.with_effects([large]), np.concatenate([base.point.z, [4.0, 0.1, 0.0]]))
+    own = Ranked(large, best, log_evidence(best) - log_evidence(base))
+    screened = tuple(replace(s, response=None, others=()) for s in screen(base, [large, small, other]))
+    slot = Slot(base, screened, (own,))
+    assert [placed for placed, _ in kin._simpler(slot, own)] == [small]
+    first, second = with_kin(slot, own).ranked
+    assert (first.placed, second.placed) == (small, large) and first.gain > own.gain
+    assert first.fit.chi2 == pytest.approx(best.chi2, rel=0.05)
+
+
 @pytest.fixture(scope="module")
 def swings(tmp_path_factory):
     """Swings under weaker gravity and a constant force, and what a spring, which comes first, makes of them."""
