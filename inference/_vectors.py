@@ -4,7 +4,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.inference._flow import ConditionalFlow
+from det2stoc_bayes.inference._flow import ConditionalFlow, Training
 from det2stoc_bayes.inference._flow import train as train_flow
 from det2stoc_bayes.inference._refine import SURPLUS, Refine, num_proposed
 from det2stoc_bayes.inference._sampling import NUM_CHAINS, as_key, numpy_random, per_chain, seed_of
@@ -13,11 +13,13 @@ from det2stoc_bayes.psis import effective_draws, resampled, smooth
 from det2stoc_bayes.vector_problem import VectorProblem
 
 
-def train(problem: VectorProblem, key: int | jax.Array, *, num_simulations: int = 10_000) -> ConditionalFlow:
+def train(
+    problem: VectorProblem, key: int | jax.Array, *, num_simulations: int = 10_000, training: Training | None = None
+) -> ConditionalFlow:
     """Flows that serve for every x."""
     key = as_key(key)
     z, x = problem.draw(num_simulations, numpy_random(key))
-    return train_flow(z, x, key)
+    return train_flow(z, x, key, training or Training())
 
 
 def refined(

@@ -3,11 +3,11 @@
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Error, Page, sync_playwright
 
 FOUND = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 NEEDS = [pytest.mark.browser, pytest.mark.skipif(FOUND is None, reason="no Chromium here: make browser")]
@@ -27,9 +27,12 @@ def started() -> Iterator[Browser]:
 def until(page: Page, condition: str, seconds: float = 30.0) -> None:
     """Wait until an expression holds; `wait_for_function` would need eval, which the pages forbid."""
     end = time.monotonic() + seconds
-    while not page.evaluate(condition):
-        assert time.monotonic() < end, f"never: {condition}"
+    while time.monotonic() < end:
+        with suppress(Error):  # of a page that is being left
+            if page.evaluate(condition):
+                return
         page.wait_for_timeout(30)
+    raise AssertionError(f"never: {condition}")
 
 
 @contextmanager

@@ -130,6 +130,7 @@ def test_a_turning_body_seen_by_one_of_its_points(tmp_path):
     np.testing.assert_allclose(seen, true, atol=0.3)  # measured: 0.1
 
 
+@pytest.mark.long
 def test_a_turning_body_in_a_wind_that_is_not_what_was_believed(tmp_path):
     """Under a wrong psi no start explains long stretches: short ones lead there, and psi is known by then."""
     ball = """<body name="ball" pos="0 0 2"><freejoint name="flight"/>

@@ -101,6 +101,7 @@ def test_equivalents_make_the_same_recordings(name, effect, rival):
     assert refit(probe, probe.with_effects(effect), [same]).left < 0.02
 
 
+@pytest.mark.long
 def test_a_large_effect_that_leads_psi_far_away_has_its_equivalent():
     """A payload about a vertical axis is inertia and nothing else; by as much inertia psi alone goes astray."""
     payload = Effect("payload_mass", "body", "rotor", {"mass": 0.4, "offset": [0.15, -0.11, 0.08]})

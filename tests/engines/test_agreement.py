@@ -69,7 +69,7 @@ KINDS = {"body": "body", "jnt": "joint", "dof": "joint", "qpos": "joint", "actua
 
 @pytest.mark.parametrize(
     ("bodies", "rest", "integrator"),
-    [(ZOO, GENERAL, "Euler"), (ARM, MOTORS, "implicitfast"), (HINGE, "", "RK4")],
+    [(ZOO, GENERAL, "Euler"), (ARM, MOTORS, "implicitfast"), pytest.param(HINGE, "", "RK4", marks=pytest.mark.long)],
     ids=["euler", "implicitfast", "rk4"],
 )
 def test_same_motion(compiled, bodies, rest, integrator):

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from det2stoc_bayes import cli, verbs_calibrate
 from det2stoc_bayes.errors import MethodNotApplicable
 from det2stoc_bayes.inference import _surrogate, _vectors, det2stoc, get_method
+from det2stoc_bayes.inference._flow import Training
 from det2stoc_bayes.models import get_problem, linear_gaussian
 from det2stoc_bayes.replication import bare, fitted_start, replicate
 
@@ -104,9 +105,10 @@ def test_a_method_that_learns_once_does_so_for_all_replications(monkeypatch, tmp
 
 
 def test_a_problem_of_vectors_is_calibrated_by_npe_alone(monkeypatch, tmp_path):
-    monkeypatch.setattr(_vectors, "train", partial(_vectors.train, num_simulations=500))
+    few = Training(num_members=1, num_layers=2, width=16, depth=1, num_epochs=40)
+    monkeypatch.setattr(_vectors, "train", partial(_vectors.train, num_simulations=500, training=few))
     options = {"num_replications": 20, "jobs": 1, "seed": 2}
-    found = verbs_calibrate.calibrate("two_moons", "npe+psis", tmp_path, **options)
+    found = verbs_calibrate.calibrate("two_moons", "npe", tmp_path, **options)
     assert [u.name for u in found.unknowns] == ["theta_1", "theta_2"] and found.trained_once and not found.failed
     assert found.ranks.shape == (20, 2) and all(0.005 < u.sd < 0.9 for u in found.unknowns)  # far from the prior's
     with pytest.raises(

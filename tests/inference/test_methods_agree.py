@@ -49,7 +49,9 @@ def test_nuts_is_well_tuned(fits):
         assert max(float(v) for v in az.rhat(fits(name).posterior).values()) < 1.02
 
 
-@pytest.mark.parametrize("method", [nuts, blackjax_nuts], ids=["nuts", "blackjax_nuts"])
+@pytest.mark.parametrize(
+    "method", [pytest.param(nuts, marks=pytest.mark.long), blackjax_nuts], ids=["nuts", "blackjax_nuts"]
+)
 def test_many_chains_are_unbiased(method, gaussian_problem):
     """Standard errors from independent chains: no estimate of autocorrelation can flatter them."""
     tree = method.fit(gaussian_problem, 3, num_samples=64 * 60, num_chains=64)
@@ -76,6 +78,7 @@ def test_finite_differences_sample_the_same(fits, gaussian_problem):
         assert abs(difference) < 3 * np.hypot(*errors)
 
 
+@pytest.mark.long
 def test_nuts_with_mjx(gaussian_problem_mjx):
     tree = nuts.fit(gaussian_problem_mjx, 1, num_samples=600)
     assert tree.attrs["engine"] == "mjx"
@@ -83,6 +86,7 @@ def test_nuts_with_mjx(gaussian_problem_mjx):
     check_against_closed_form(tree, gaussian_problem_mjx)
 
 
+@pytest.mark.long
 def test_laplace_is_calibrated(gaussian_problem):
     """Gravity drawn from the prior ranks uniformly among the posterior's draws."""
     random, setting = np.random.default_rng(7), linear_gaussian.Setting()

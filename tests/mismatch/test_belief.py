@@ -133,7 +133,7 @@ def outliers(folder):
 @pytest.mark.timeout(900)  # NUTS on simulations, a minute each alone
 @pytest.mark.parametrize(
     ("study", "num_samples"),
-    [(dry_friction, 1200), (two_joints, 320), pytest.param(outliers, 320, marks=pytest.mark.long)],
+    [(dry_friction, 1200), *(pytest.param(study, 320, marks=pytest.mark.long) for study in (two_joints, outliers))],
 )
 def test_cheap_and_exact_agree(tmp_path, study, num_samples):
     found = fit(study(tmp_path / "study"))

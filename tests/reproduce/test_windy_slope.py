@@ -136,6 +136,7 @@ def done(tmp_path_factory):
     return out
 
 
+@pytest.mark.long
 def test_its_results_hold_every_model(done):
     result = json.loads((done / "results.json").read_text())
     names = [r["name"] for r in result["rows"]]
@@ -151,6 +152,7 @@ def test_its_results_hold_every_model(done):
     assert result["oracles"]["population"] == pytest.approx(99, abs=6)  # of 4 episodes; over many: 99 to 100
 
 
+@pytest.mark.long
 def test_what_lies_beyond_the_source_s_model(done, monkeypatch):
     """Every variant learns from what the iteration learned from, with its decoder unless its Gaussians differ."""
     settings = replace(TINY, variants=True)
@@ -176,6 +178,7 @@ def test_what_lies_beyond_the_source_s_model(done, monkeypatch):
     assert [d is None for *_, d in seen] == [True, False, False]
 
 
+@pytest.mark.long
 def test_its_page_has_the_source_s_figures(done):
     page = (done / "report.html").read_text()
     for name in ("likelihood", "posterior-friction", "poses-side", "sweep-wind", "density-50"):
@@ -183,6 +186,7 @@ def test_its_page_has_the_source_s_figures(done):
     assert "69.4 ± 1.7" in page
 
 
+@pytest.mark.long
 def test_what_is_done_is_not_done_again(done, monkeypatch):
     monkeypatch.setattr(windy_slope, "QUICK", TINY)
     for module, name in ((seed_models, "iterate"), (seed_models, "baseline"), (experiment, "figures")):
