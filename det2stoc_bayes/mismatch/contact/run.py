@@ -10,7 +10,7 @@ from det2stoc_bayes.mismatch.contact.judge import Verdict, judged
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import (
     MAX_EFFECTS,
-    ROUNDS,
+    MOST_ROUNDS,
     Pair,
     Progress,
     Round,
@@ -51,7 +51,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         rounds.append(one)
         if one.taken is None:
             break
-        base = resettled(one.taken, ROUNDS)  # as settled as what is held against it next
+        base = resettled(one.taken, MOST_ROUNDS)  # as settled as what is held against it next
     progress("scoring held-out recordings", 0, 1)
     said = judged(before, rounds, fine, seed, base)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []

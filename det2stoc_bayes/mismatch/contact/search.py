@@ -23,6 +23,7 @@ LEAST_CERTAIN = 3.0  # standard errors of the gain over windows: of those fitted
 HELD_CERTAIN = 2.0  # and of those held out
 MAX_EFFECTS = 2
 ROUNDS = 6  # of estimating starts and unknowns in turn
+MOST_ROUNDS = 20  # of what is taken: its starts were estimated without it, and hold it back
 MOST_FORETOLD, FARTHEST_AHEAD = 0.75, 2.0  # share of the last round's way; prior sds
 SETTLED = 0.3  # sds of the unknowns
 FINER_CERTAIN = 1.5  # standard errors by which a finer integration must tell windows better
