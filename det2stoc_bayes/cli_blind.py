@@ -79,7 +79,7 @@ def blind(
             if studies is not None or not counts:
                 counts = mixture(DEFAULT if studies is None else studies) | counts
             if not sum(counts.values()):
-                raise Det2StocError("--studies: found 0 in all; allowed: at least one study")
+                raise Det2StocError("--studies, --effects and the like: found 0 in all; allowed: at least one study")
             choice = Choice(_listed("--systems", systems, SYSTEMS), plain, _listed("--names", names, LAWS))
             commit, path = proof.revision(), log or out / LOG
             seed = seed or commit[:8] or "0"

@@ -26,7 +26,9 @@ EXAMPLES = {
     "diagnose": _examples(
         "det2stoc diagnose studies/arm --out diagnosis", "det2stoc diagnose studies/arm --exact --json --out diagnosis"
     ),
-    "reproduce": _examples("det2stoc reproduce trivariate --quick --out trivariate"),
+    "reproduce": _examples(
+        "det2stoc reproduce trivariate --quick --out trivariate", "det2stoc reproduce yumi-pusher --quick --out pusher"
+    ),
     "export": _examples("det2stoc export studies/arm fits/arm --draws 200 --out randomized"),
     "effects": _examples("det2stoc effects", "det2stoc effects --json"),
     "serve": _examples("det2stoc serve results", "det2stoc serve . --port 0 --open"),

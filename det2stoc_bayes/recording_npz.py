@@ -48,7 +48,7 @@ def read_series(path: Path, label: str, names: ModelNames) -> list[Series]:
         with np.load(path, allow_pickle=False) as content:
             arrays = {name: content[name] for name in content.files}
     except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError, AttributeError) as error:
-        reason = " ".join(str(error).split())
+        reason = " ".join(str(error).split()) if zipfile.is_zipfile(path) else "no zip archive, as a .npz is"
         raise StudyError(f"{label}: cannot be read: {reason}; allowed: a .npz of mujoco.sysid, no pickle") from error
     if set(SERIES) <= set(arrays):
         return [_series(arrays, "", label, names)]

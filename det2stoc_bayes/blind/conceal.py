@@ -74,11 +74,13 @@ def make_case(
     for given, known in ((system, SYSTEMS), *((name, NAMES) for name in (effect, *others))):
         if given is not None and given not in known:
             raise ValueError(f"{given!r} is not known; there are {', '.join(known)}")
+    if control and (effect or others or count > 1):
+        raise ValueError("a control conceals nothing; allowed: no effects beside it")
     count = 0 if control else max(count, 1 + len(others))
     if INTEGRATION in (effect, *others) and count > 1:
         raise ValueError(f"{INTEGRATION} is concealed alone")
     if num_recordings < 1 or (num_samples is not None and num_samples < FEWEST_SAMPLES):
-        found = f"{num_recordings} recordings of {num_samples} samples"
+        found = f"{num_recordings} recordings of {num_samples or 'the usual number of'} samples"
         raise ValueError(f"{found}; allowed: 1 or more, of {FEWEST_SAMPLES} or more")
     if size is not None and not SMALLEST <= size <= LARGEST:
         raise ValueError(f"size {size:g}; allowed: {SMALLEST:g} to {LARGEST:g} noise sds")
@@ -161,10 +163,16 @@ def _answer(
     }
 
 
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"found '{text}'; allowed: a whole number from 0 on")
+    return int(text)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Write one concealed study; the answer is printed on request only."""
     parser = argparse.ArgumentParser(prog="det2stoc_bayes.blind.conceal", description=main.__doc__)
-    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--seed", type=_seed, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--system", choices=list(SYSTEMS))
     parser.add_argument("--effect", choices=NAMES, action="append", default=[], help="may be repeated")

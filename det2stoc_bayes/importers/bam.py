@@ -42,7 +42,9 @@ def load(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         raise SourceError(f"{path.name}: cannot be read: {error}; allowed: JSON of bam") from error
     entries = content.get("entries") if isinstance(content, dict) else None
     if not isinstance(entries, list) or len(entries) < 2 or not all(isinstance(e, dict) for e in entries):
-        found = listing(content) if isinstance(content, dict) else type(content).__name__
+        found = type(content).__name__
+        if isinstance(content, dict):
+            found = f"{len(entries)} entries" if isinstance(entries, list) else listing(content or ("an empty table",))
         raise SourceError(f"{path.name}: found {found}; allowed: a table with 2 'entries' or more, as bam records them")
     return {k: v for k, v in content.items() if k != "entries"}, entries
 

@@ -110,5 +110,5 @@ def _number(option: str, text: str) -> float:
     except ValueError:
         value = float("nan")
     if not abs(value) < 1e9:
-        raise SourceError(f"{option}: found '{text}'; allowed: a number of seconds")
+        raise SourceError(f"{option}: found '{text}'; allowed: a number of seconds, below 1e9")
     return value

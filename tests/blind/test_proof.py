@@ -249,7 +249,7 @@ def test_a_log_is_scored_anew(tmp_path):
         (("--seed", "xyz"), "--seed: found 'xyz'; allowed: 1 to 40 hexadecimal digits"),
         (("--systems", "pendulumm"), "--systems: found 'pendulumm'; did you mean 'pendulum'?"),
         (("--names", "coulomb"), "--names: found 'coulomb'; did you mean 'coulomb_friction'?"),
-        (("--studies", "0"), "--studies: found 0 in all"),
+        (("--studies", "0"), "--studies, --effects and the like: found 0 in all"),
         (("--effects", "0", "--cluster", "here"), "found 0 in all"),
         (("--effects", "1", "--cluster", "here"), "--cluster: found 'here'"),
     ],

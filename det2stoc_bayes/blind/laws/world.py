@@ -11,7 +11,8 @@ def _tilt(model: mujoco.MjModel, element: str, p: Parameters) -> None:
     """Gravity keeps its size and leans towards + of the axes by these angles."""
     size = np.linalg.norm(model.opt.gravity)
     x, y = np.sin(p["toward_x"]), np.sin(p["toward_y"])
-    model.opt.gravity[:] = size * np.array([x, y, -np.sqrt(1.0 - x * x - y * y)])
+    with np.errstate(invalid="ignore"):  # a size beyond all tilts, which is tried, gives no motion
+        model.opt.gravity[:] = size * np.array([x, y, -np.sqrt(1.0 - x * x - y * y)])
 
 
 def _change(model: mujoco.MjModel, element: str, p: Parameters) -> None:
