@@ -3,12 +3,11 @@
 MUJOCO_GL=egl python benchmarks/yumi_picture.py (or osmesa)
 """
 
-import struct
-import zlib
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from matplotlib.image import imsave
 
 from det2stoc_bayes.models import yumi_pusher
 from det2stoc_bayes.models.yumi_pusher_policy import Pusher
@@ -16,16 +15,6 @@ from det2stoc_bayes.models.yumi_pusher_policy import Pusher
 OUT = Path(__file__).parents[1] / "docs" / "yumi_pusher.png"
 SAMPLES = (0, 40, 100)
 HEIGHT, WIDTH = 400, 420
-
-
-def png(pixels: np.ndarray) -> bytes:
-    """A file of (rows, columns, 3) bytes (ISO/IEC 15948), each row told by what it adds to the one above."""
-    rows = np.diff(pixels, axis=0, prepend=np.zeros_like(pixels[:1])).reshape(len(pixels), -1)
-    body = np.concatenate([np.full((len(rows), 1), 2, np.uint8), rows], 1).tobytes()
-    head = struct.pack(">IIBBBBB", pixels.shape[1], len(pixels), 8, 2, 0, 0, 0)
-    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(body, 9)), (b"IEND", b"")]
-    told = [struct.pack(">I", len(c)) + n + c + struct.pack(">I", zlib.crc32(n + c)) for n, c in chunks]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(told)
 
 
 def main() -> int:
@@ -46,7 +35,7 @@ def main() -> int:
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, camera)
             frames.append(renderer.render())
-    OUT.write_bytes(png(np.concatenate(frames, 1)))
+    imsave(OUT, np.concatenate(frames, 1))
     print(OUT)
     return 0
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from det2stoc_bayes.cli import Cluster, Debug, Json, app
+from det2stoc_bayes.cli_help import EXAMPLES
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import atomic_write, check_folder
 from det2stoc_bayes.streams import reporting, show_report
@@ -27,7 +28,7 @@ def _count(what: str) -> Any:
     return typer.Option(min=0, metavar="N", show_default=False, help=what)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["blind"])
 def blind(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where log and report go.", show_default=False)],
     studies: Annotated[int | None, _count("Of all kinds, for those without a number; 20 if none has one.")] = None,
@@ -54,10 +55,7 @@ def blind(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Conceal physics in studies, have others diagnose them, and score; goes on where it was interrupted.
-
-    Example: det2stoc blind --studies 60 --jobs 2 --out DIR
-    """
+    """Conceal physics in studies, have others diagnose them, and score; goes on where it was interrupted."""
     with reporting(debug) as stages:
         check_folder(out)
         from det2stoc_bayes.blind import proof

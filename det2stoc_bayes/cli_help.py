@@ -31,6 +31,13 @@ EXAMPLES = {
     ),
     "export": _examples("det2stoc export studies/arm fits/arm --draws 200 --out randomized"),
     "effects": _examples("det2stoc effects", "det2stoc effects --json"),
+    "import": _examples(
+        "det2stoc import csv log.csv --model arm.xml --column qpos/wrist=angle --unit 'qpos/*=deg' --clock ms "
+        "--out studies/arm",
+    ),
+    "fetch": _examples("det2stoc fetch pendulum_multiarm --out pendulum"),
+    "export-recordings": _examples("det2stoc export-recordings studies/arm --to sysid --out sysid"),
+    "blind": _examples("det2stoc blind --studies 60 --jobs 2 --out blind"),
     "serve": _examples("det2stoc serve results", "det2stoc serve . --port 0 --open"),
 }
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from det2stoc_bayes.cli import Debug, Json, Seed, StudyFolder, app
+from det2stoc_bayes.cli_help import EXAMPLES
 from det2stoc_bayes.errors import listing
 from det2stoc_bayes.importers import FORMATS
 from det2stoc_bayes.importers.public import NAMES
@@ -18,7 +19,7 @@ def _each(metavar: str, what: str) -> Any:
     return typer.Option(metavar=metavar, show_default=False, help=what + " Once for each.")
 
 
-@app.command("import")
+@app.command("import", epilog=EXAMPLES["import"])
 def import_(
     form: Annotated[
         str, typer.Argument(metavar="FORMAT", help=f"One of: {listing(FORMAT_NAMES)}.", show_default=False)
@@ -44,11 +45,7 @@ def import_(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:  # fmt: skip
-    """Write a study of recordings in another format; what the files do not say is asked for.
-
-    Example: det2stoc import csv log.csv --model arm.xml --column qpos/wrist=angle --unit 'qpos/*=deg' --clock ms
-    --out STUDY
-    """
+    """Write a study of recordings in another format; what the files do not say is asked for."""
     with reporting(debug):
         from det2stoc_bayes.importers.importing import import_study
 
@@ -70,7 +67,7 @@ def import_(
     show("\n".join(lines), as_json)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["fetch"])
 def fetch(
     name: Annotated[str, typer.Argument(metavar="NAME", help=f"One of: {listing(NAMES)}.", show_default=False)],
     out: Annotated[Path, typer.Option(metavar="STUDY", help="The new study's folder.", show_default=False)],
@@ -81,10 +78,7 @@ def fetch(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:  # fmt: skip
-    """Download public recordings of a real system, and write them as a study.
-
-    Example: det2stoc fetch pendulum_multiarm --out pendulum
-    """
+    """Download public recordings of a real system, and write them as a study."""
     with reporting(debug) as stages:
         from det2stoc_bayes.importers.public.fetch import fetch_study
 
@@ -96,7 +90,7 @@ def fetch(
          f"{out}", as_json)  # fmt: skip
 
 
-@app.command("export-recordings")
+@app.command("export-recordings", epilog=EXAMPLES["export-recordings"])
 def export_recordings(
     study: StudyFolder,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.", show_default=False)],
@@ -105,10 +99,7 @@ def export_recordings(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Write a study's recordings for another tool.
-
-    Example: det2stoc export-recordings STUDY --to sysid --out DIR
-    """
+    """Write a study's recordings for another tool."""
     with reporting(debug):
         from det2stoc_bayes.importers.sysid_export import export_sysid
         from det2stoc_bayes.study import load_study

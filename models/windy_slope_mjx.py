@@ -9,11 +9,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.models._mjx_fields import stacked_fields
 from det2stoc_bayes.models.windy_slope import MODEL, NUM_STEPS, SUBSTEPS, prepared, write_state
 
 SIDES = 16  # of the prism, whose corners lie on the post
-# Fields that psi sets, and those that MuJoCo derives from them.
-FIELDS = ("pair_friction", "body_pos", "body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0")
 
 
 def prism_model(sides: int = SIDES) -> mujoco.MjModel:
@@ -36,7 +35,7 @@ def simulate(
     model = prism_model(sides)
     batch = prepared(model, psi, 0)
     models = [batch.get_model(i) for i in range(len(psi))]
-    fields = {name: jnp.asarray(np.stack([getattr(m, name) for m in models])) for name in FIELDS}
+    fields = stacked_fields(models)
     wind = jnp.asarray(np.stack([m.opt.wind for m in models]))
     run = _rollouts(sides, num_steps, jax.config.jax_enable_x64)
     qpos, qvel = (np.asarray(a) for a in run(fields, wind))

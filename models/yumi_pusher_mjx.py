@@ -12,10 +12,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.models._mjx_fields import stacked_fields
 from det2stoc_bayes.models.yumi_pusher import MODEL, SUBSTEPS, prepared
-
-# Fields that psi sets, and those that MuJoCo derives from them.
-FIELDS = ("pair_friction", "body_pos", "body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0")
 
 
 def reduced_model() -> mujoco.MjModel:
@@ -40,7 +38,7 @@ def simulate(
     """qpos and qvel from states on, under given commands; all at once, in the precision that jax is set to."""
     batch = prepared(reduced_model(), psi)
     models = [batch.get_model(i) for i in range(len(psi))]
-    fields = {name: jnp.asarray(np.stack([getattr(m, name) for m in models])) for name in FIELDS}
+    fields = stacked_fields(models)
     found = _rollouts(jax.config.jax_enable_x64)(fields, jnp.asarray(start), jnp.asarray(actions))
     return np.concatenate([start[:, None], np.asarray(found)], 1)
 

@@ -11,10 +11,9 @@ if TYPE_CHECKING:
 
 # Name -> module. They are imported when they are asked for, since each brings libraries of its own.
 FORMATS: Mapping[str, str] = {
-    name: f"det2stoc_bayes.importers.{name}"
-    for name in ("bam", "csv_columns", "lerobot", "mcap", "minari", "robomimic", "sysid")
+    module.removesuffix("_columns"): f"det2stoc_bayes.importers.{module}"
+    for module in ("bam", "csv_columns", "lerobot", "mcap", "minari", "robomimic", "sysid")
 }
-FORMATS = {name.removesuffix("_columns"): module for name, module in FORMATS.items()}
 
 
 def get_format(name: str) -> "Format":

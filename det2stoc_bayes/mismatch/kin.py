@@ -3,7 +3,7 @@
 From the believed model, far away, the same curve may be reached under one name and missed under another.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -31,10 +31,9 @@ def with_kin(slot: Slot, own: Ranked) -> Slot:
     """The slot, its rivals of the same response fitted from the effect's own fit where that tells more."""
     share, fits = effective_share(own.fit), {r.placed: r.fit for r in slot.ranked}
     there = log_evidence(own.fit, share)
-    starts: list[tuple[Problem, Point]] = []
-    for kin in (_starts(slot, own), _simpler(slot, own)):
-        worse = [s for placed, s in kin if placed not in fits or log_evidence(fits[placed], share) < there]
-        starts += worse[:MOST]
+    enough = {placed for placed, fit in fits.items() if log_evidence(fit, share) >= there}
+    alike = [start for placed, start in _starts(slot, own) if placed not in enough]
+    starts = alike[:MOST] + [start for _, start in _simpler(slot, own, enough)][:MOST]
     if not starts:
         return slot
     found = [f for f in fit_many(starts, tolerance=tolerance(own.fit)) if f is not None]
@@ -47,12 +46,16 @@ def with_kin(slot: Slot, own: Ranked) -> Slot:
     return replace(slot, ranked=tuple(sorted(ranked, key=lambda r: -r.gain)))
 
 
-def _simpler(slot: Slot, own: Ranked) -> list[tuple[PlacedEffect, tuple[Problem, Point]]]:
+def _simpler(
+    slot: Slot, own: Ranked, enough: Collection[PlacedEffect] = ()
+) -> list[tuple[PlacedEffect, tuple[Problem, Point]]]:
     """Effects of fewer parameters that take an effect's place where its fit ended, closest first, from there.
 
     Under a large misfit, far from there, what has more parameters may promise so much more that they were not fitted.
+    Those in `enough`, which were, are passed over: every look costs simulations.
     """
     worth = [s.placed for s in slot.screened if s.placed.size < own.placed.size and s.gain > 0][:MOST_SIMPLER]
+    worth = [placed for placed in worth if placed not in enough]
     if not worth:
         return []
     bare = put_back(own.fit)

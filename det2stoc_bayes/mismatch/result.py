@@ -2,6 +2,7 @@
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 from xarray import DataTree
 
 from det2stoc_bayes.mismatch.finding import variable_name
@@ -12,6 +13,7 @@ from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.posterior import named_draws
 from det2stoc_bayes.problem import HasProblem
 from det2stoc_bayes.recording import Recording
+from det2stoc_bayes.segments import Segments
 
 __all__ = ["DataTree", "fitted_paths", "fitted_states", "posterior", "ranking", "rollouts", "screening"]
 
@@ -69,19 +71,20 @@ def fitted_paths(fit: Fit) -> dict[str, np.ndarray]:
     predicted = problem.simulator.rollout(problem.request(fit.point.z[None], fit.point.start))
     if problem.finer is not None:
         predicted = predicted + problem.finer.shift
-    out = {r.name: np.full((len(r.time), len(segments.columns)), np.nan) for r in segments.recordings}
-    for s, path in enumerate(predicted):
-        begin, length = segments.first[s], segments.lengths[s]
-        out[segments.recordings[segments.recording[s]].name][begin : begin + length] = path[:length]
-    return out
+    return _by_recording(segments, predicted)
 
 
 def fitted_states(fit: Fit) -> dict[str, np.ndarray]:
     """The positions (samples, nq) behind `fitted_paths`."""
     problem, segments = fit.problem, fit.problem.segments
     found = problem.simulator.engine.trajectory(problem.request(fit.point.z[None], fit.point.start)).qpos
-    out = {r.name: np.full((len(r.time), found.shape[-1]), np.nan) for r in segments.recordings}
-    for s, path in enumerate(found):
+    return _by_recording(segments, found)
+
+
+def _by_recording(segments: Segments, paths: Float[np.ndarray, "segments samples width"]) -> dict[str, np.ndarray]:
+    """What segments have, in the samples of their recordings; NaN between them."""
+    out = {r.name: np.full((len(r.time), paths.shape[-1]), np.nan) for r in segments.recordings}
+    for s, path in enumerate(paths):
         begin, length = segments.first[s], segments.lengths[s]
         out[segments.recordings[segments.recording[s]].name][begin : begin + length] = path[:length]
     return out

@@ -86,11 +86,8 @@ class Beside:
     def gain(self, fit: Fit) -> float:
         """Drop of the squared residual by the last effect of a fit that stands where this one does, to first order."""
         x = self.latent.project(fit.linear.columns[..., self.fit.problem.size :]).reshape(len(self.error), -1)
-        cross, count = self.columns.T @ x, x.shape[1]
-        gram = np.block([[self.gram, cross], [cross.T, x.T @ x]])
-        found = add(
-            self.fit, gram, np.concatenate([self.slope, x.T @ self.error]), np.ones(count), np.zeros(count, bool)
-        )
+        count = x.shape[1]
+        found = add(self.fit, *self._with(x), np.ones(count), np.zeros(count, bool))
         return 0.0 if found is None else found.gain
 
     def judge(self, placed: PlacedEffect, trial: Trial, columns: np.ndarray) -> Screened | None:
@@ -99,9 +96,7 @@ class Beside:
             return None
         response = self.latent.project(self.latent.stack(columns))
         x = response.reshape(-1, response.shape[-1])
-        cross = self.columns.T @ x
-        gram = np.block([[self.gram, cross], [cross.T, x.T @ x]])
-        slope = np.concatenate([self.slope, x.T @ self.error])
+        gram, slope = self._with(x)
         positive, sd = one_sided(placed, trial), np.full(x.shape[1], trial.sd)
         found = add(self.fit, gram, slope, sd, positive)
         if found is None:  # its sign may be right beside another effect
@@ -110,3 +105,8 @@ class Beside:
             return Screened(placed, trial, WRONG_SIGN, gain, none, np.zeros(self.fit.problem.size), response)
         values = found.log_evidence, found.gain, found.coefficients, found.change
         return Screened(placed, trial, *values, response)
+
+    def _with(self, x: Float[np.ndarray, "values columns"]) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+        """The normal equations with further columns."""
+        cross = self.columns.T @ x
+        return np.block([[self.gram, cross], [cross.T, x.T @ x]]), np.concatenate([self.slope, x.T @ self.error])

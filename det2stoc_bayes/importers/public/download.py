@@ -38,7 +38,8 @@ def download(
     """
     base = f"{data.repository}/{data.commit}"
     cache = into if mirror is not None else _cache() / base
-    shipped = {path: sum_ for path in data.files if (sum_ := known_checksums().get(f"{base}/{path}"))}
+    known = known_checksums()
+    shipped = {path: sum_ for path in data.files if (sum_ := known.get(f"{base}/{path}"))}
     expected = (_read_lock(cache / LOCK) if mirror is None else {}) | shipped
     found: dict[str, Path] = {}
     sums: dict[str, str] = {}

@@ -68,10 +68,8 @@ def convert(files: Mapping[str, Path]) -> Converted:
         pairs = zip(content[f"Y_{part}"].ravel(), content[f"Time_{part}"].ravel(), strict=True)
         swings.append([_swing(y, t) for y, t in pairs])
     fitted, held = swings
-    named = {f"swing_{i}": table for i, table in enumerate(fitted + held, 1)}
-    names = list(named)
-    cut = len(fitted)
-    return Converted({n: named[n] for n in names[:cut]}, {n: named[n] for n in names[cut:]}, STUDY)
+    named = [(f"swing_{i}", table) for i, table in enumerate(fitted + held, 1)]
+    return Converted(dict(named[: len(fitted)]), dict(named[len(fitted) :]), STUDY)
 
 
 def _swing(values: object, times: object) -> Table:
