@@ -23,8 +23,9 @@ LOG = Path(__file__).parent / "results" / "stripped.jsonl"
 
 @dataclass(frozen=True)
 class Piece:
-    """What is taken out of a model, the psi that go with it, and the effect that it then lacks."""
+    """What is taken out of a study's model, the psi that go with it, and the effect that it then lacks."""
 
+    study: str
     says: str
     psi: tuple[str, ...]
     remove: Callable[[Any], None]  # from a mujoco.MjSpec
@@ -41,16 +42,21 @@ def _no_back_emf(spec: Any) -> None:
     spec.actuator("motor").biasprm = [0.0] * len(spec.actuator("motor").biasprm)
 
 
+def _no_rotor(spec: Any) -> None:
+    spec.joint("hinge").armature = 0.0
+
+
 def _no_gravity(spec: Any) -> None:
     spec.option.gravity = [0.0, 0.0, 0.0]
 
 
-PIECES = {
-    "pendulum_multiarm": Piece("damping of the hinge", ("damping",), _no_damping, "viscous_damping", "hinge"),
+PIECES = (
+    Piece("pendulum_multiarm", "damping of the hinge", ("damping",), _no_damping, "viscous_damping", "hinge"),
     # Back-EMF and viscous damping act alike: with either left in, nothing is missing.
-    "servo_xl330": Piece("back-EMF and damping", ("back_emf", "damping"), _no_back_emf, "viscous_damping", "hinge"),
-    "ball_drops": Piece("gravity", ("gravity",), _no_gravity, "gravity_error", ""),
-}
+    Piece("servo_xl330", "back-EMF and damping", ("back_emf", "damping"), _no_back_emf, "viscous_damping", "hinge"),
+    Piece("servo_xl330", "the rotor's inertia", ("armature",), _no_rotor, "armature", "hinge"),
+    Piece("ball_drops", "gravity", ("gravity",), _no_gravity, "gravity_error", ""),
+)
 
 
 def strip(study: Path, piece: Piece, folder: Path) -> Path:
@@ -80,25 +86,25 @@ def found(line: Mapping[str, Any], piece: Piece) -> bool:
 def main() -> int:
     """Diagnose studies of a folder without a documented piece."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("names", nargs="*", help=f"studies to run, of {', '.join(PIECES)}; all if none is named")
+    parser.add_argument("names", nargs="*", help="studies to run; all if none is named")
     parser.add_argument("--studies", type=Path, required=True, help="folder of studies")
     options = parser.parse_args()
-    chosen, missed = options.names or list(PIECES), 0
-    absent = [n for n in chosen if n not in PIECES or not (options.studies / n / "study.toml").is_file()]
+    known = list(dict.fromkeys(piece.study for piece in PIECES))
+    chosen, missed = options.names or known, 0
+    absent = [n for n in chosen if n not in known or not (options.studies / n / "study.toml").is_file()]
     if absent:
-        print(f"{options.studies}: no such study: {', '.join(absent)}; allowed: {', '.join(PIECES)}", file=sys.stderr)
+        print(f"{options.studies}: no such study: {', '.join(absent)}; allowed: {', '.join(known)}", file=sys.stderr)
         return 2
     print("| study | taken out | found | what is said | seconds |\n|---|---|---|---|---|")
-    for name in chosen:
-        piece = PIECES[name]
+    for piece in (p for p in PIECES if p.study in chosen):
         with tempfile.TemporaryDirectory() as folder:
-            line = diagnosed(strip(options.studies / name, piece, Path(folder) / "study"))
-        line |= {"study": name, "piece": piece.says, "found": found(line, piece)}
+            line = diagnosed(strip(options.studies / piece.study, piece, Path(folder) / "study"))
+        line |= {"study": piece.study, "piece": piece.says, "found": found(line, piece)}
         missed += not line["found"]
         append(LOG, line)
         yes = "yes" if line["found"] else "no"
         said = line.get("summary", line["verdict"])
-        print(f"| {name} | {piece.says} | {yes} | {said} | {line['seconds']:.0f} |", flush=True)
+        print(f"| {piece.study} | {piece.says} | {yes} | {said} | {line['seconds']:.0f} |", flush=True)
     return int(missed > 0)
 
 

@@ -31,15 +31,17 @@ class EffectScore:
 class CaseScore:
     """How one diagnosis did. `named`: every effect is named, and nothing else is claimed.
 
-    `false_claim`: a mismatch is claimed and some of what is named is wrong. `psi_inside`, `psi_narrow`: of each psi
-    whether its 95 % interval holds the truth, and is narrower than NARROW of it. `improvement` on held-out recordings
-    is a share of what the true law gives.
+    `own`: each by its own name and element, not an accepted equivalent's, whose psi may be others (clocks that run fast
+    look like less mass). `false_claim`: a mismatch is claimed and some of what is named is wrong. `psi_inside`,
+    `psi_narrow`: of each psi whether its 95 % interval holds the truth, and is narrower than NARROW of it.
+    `improvement` on held-out recordings is a share of what the true law gives.
     """
 
     truth: str
     diagnosed: str
     verdict: bool
     named: bool
+    own: bool
     false_claim: bool
     effects: tuple[EffectScore, ...] = ()
     psi_inside: tuple[bool, ...] = ()
@@ -65,7 +67,7 @@ def score(answer: Json, diagnosis: Json) -> CaseScore:
         silent = verdict == "no_mismatch" and not claims
         said = "no_mismatch" if silent else labels(claims, verdict)
         alarm = verdict in ("mismatch", "inconclusive")
-        return CaseScore("nothing", said, silent, silent, alarm, (), inside, narrow)
+        return CaseScore("nothing", said, silent, silent, silent, alarm, (), inside, narrow)
     claimed = verdict == "mismatch"
     paired = pairing(answer["effects"], claims)
     effects = tuple(
@@ -73,12 +75,14 @@ def score(answer: Json, diagnosis: Json) -> CaseScore:
         for i, truth in enumerate(answer["effects"])
     )
     named = claimed and all(e.named for e in effects) and len(claims) == len(effects)
+    own = named and all(_is(answer["effects"][i], claims[c]) for i, c in paired.items())
     strangers = len(paired) < len(claims)
     return CaseScore(
         labels(answer["effects"], ""),
         labels(claims, verdict),
         verdict == answer["verdict"],
         named,
+        own,
         claimed and (strangers or not claims),
         effects,
         inside,
@@ -178,6 +182,11 @@ def matches(members: Sequence[Json], entry: Json) -> list[tuple[Json, Json]]:
     """Pairs of a right answer and what an entry of a diagnosis says, of the same name and element."""
     pairs = [(m, g) for m in members for g in _given(entry)]
     return [(m, g) for m, g in pairs if m["name"] == g["name"] and same_element(m, g) and _same_variables(m, g)]
+
+
+def _is(right: Json, claim: Json) -> bool:
+    """Whether a claim itself, not an equivalent of it, is the truth itself."""
+    return right["name"] == claim["name"] and same_element(right, claim)
 
 
 def _same_variables(right: Json, given: Json) -> bool:

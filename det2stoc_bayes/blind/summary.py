@@ -99,13 +99,14 @@ def summarize(rows: Sequence[Row]) -> Summary:
 def pooled(rows: Iterable[Row]) -> tuple[Coverage, ...]:
     """Intervals of every scalar parameter and component by itself.
 
-    Those of effects that were named, those of psi where all was told right, both together, and the other psi.
+    Those of effects that were named, those of psi where all was told by its own name, both together, and the other psi.
     """
-    effects, psi, others = [], [], []
+    effects, psi, alike, others = [], [], [], []
     for r in rows:
         effects += [inside for e in r.score.effects for inside in e.estimates.inside]
-        (psi if r.score.named else others).extend(r.score.psi_inside)
-    named = {"effects": effects, "psi": psi, "both": [*effects, *psi], "psi where something else was said": others}
+        (psi if r.score.own else alike if r.score.named else others).extend(r.score.psi_inside)
+    named = {"effects": effects, "psi": psi, "both": [*effects, *psi]}
+    named |= {"psi where an equivalent was said": alike, "psi where something else was said": others}
     return tuple(
         Coverage(name, len(v), sum(v), float(stats.binomtest(sum(v), len(v), LEVEL).pvalue) if v else math.nan)
         for name, v in named.items()

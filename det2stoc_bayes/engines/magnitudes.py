@@ -71,10 +71,10 @@ class Magnitudes:
 
     def of(self, element: Element) -> Typical:
         """Root mean squares over the simulation (span: half the range), with floors for what hardly moves."""
-        time = self.problem.segments.time
-        intervals = np.diff(time, axis=1)
+        segments = self.problem.segments
+        intervals = np.diff(segments.time, axis=1)
         base = {
-            "duration": float(np.ptp(time, axis=1).max()),
+            "duration": float(max(np.ptp(r.time) for r in segments.recordings)),
             "sampling": float(np.median(intervals[intervals > 0])),
             "timestep": float(self.model.opt.timestep),
             "integrator": mujoco.mjtIntegrator(self.model.opt.integrator).name.removeprefix("mjINT_"),

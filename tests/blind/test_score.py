@@ -52,6 +52,20 @@ def test_the_concealed_name_and_its_equivalents_are_right():
     assert score(ANSWER, claim(listed)).named
 
 
+def test_psi_under_an_equivalent_name_is_pooled_apart():
+    after = {"mass": {"after": {"mean": 2.1, "sd": 0.1}}, "stiffness": {"after": {"mean": 50.0, "sd": 1.0}}}
+    own = entry("quadratic_damping", "joint", "rail", coefficient=estimate(0.51, 0.45, 0.57))
+    counts = {}
+    for name, said in {"own": own, "alike": DRAG, "listed": own | {"name": "other", "equivalent": [own]}}.items():
+        told = score(ANSWER, claim(said, psi=after))
+        assert told.named and told.own == (name == "own")
+        rows = [row(line("effect", ANSWER, claim(said | {"probability": 1.0}, psi=after)))]
+        counts[name] = {c.name: c.count for c in pooled(rows)}
+    assert counts["own"]["psi"] == 2 and counts["own"]["psi where an equivalent was said"] == 0
+    assert counts["alike"] == counts["listed"]
+    assert counts["alike"]["psi"] == 0 and counts["alike"]["psi where an equivalent was said"] == 2
+
+
 def test_wrong_claims():
     wrong = score(ANSWER, claim(entry("coulomb_friction", "joint", "rail", force=estimate(1, 0, 2))))
     assert wrong.verdict and wrong.placed and not wrong.named and wrong.false_claim
@@ -153,7 +167,8 @@ def test_summary_and_what_was_missed():
     told = summarize(rows)
     effect, control, whole = told.kinds
     assert (effect.right, effect.cover, effect.narrow, control.false_claims, whole.right) == (1, 1, 1, 1, 2)
-    assert {c.name: (c.inside, c.count) for c in told.coverage}["both"] == (2, 2)
+    counts = {c.name: (c.inside, c.count) for c in told.coverage}
+    assert counts["both"] == counts["psi where an equivalent was said"] == (1, 1)
     assert cells(effect)[:8] == ["1", "1", "1", "0", "1 of 1", "1 of 1", "2.0 %", "24.0 %"]
     assert cells(control)[:5] == ["2", "1", "1", "1", "0 of 0"]
     assert missed(rows) == ["control: nothing was said to be quadratic_drag @ carriage (false alarm)"]
@@ -172,7 +187,7 @@ def test_pooled_coverage_is_tested_exactly():
     for inside, p_value in ((95, 1.0), (85, stats.binomtest(85, 100, 0.95).pvalue)):
         after = {name: {"after": {"mean": 0.0 if i < inside else 3.0, "sd": 1.0}} for i, name in enumerate(psi)}
         told = pooled([row(line("control", {**CONTROL, "psi": psi}, {"verdict": "no_mismatch", "psi": after}))])
-        assert [(c.inside, c.count) for c in told] == [(0, 0), (inside, 100), (inside, 100), (0, 0)]
+        assert [(c.inside, c.count) for c in told] == [(0, 0), (inside, 100), (inside, 100), (0, 0), (0, 0)]
         assert told[2].p_value == pytest.approx(p_value)
 
 

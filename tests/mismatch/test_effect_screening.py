@@ -13,6 +13,7 @@ from det2stoc_bayes.engines.magnitudes import Magnitudes
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.changes import changes
 from det2stoc_bayes.mismatch.effects import Typical
+from det2stoc_bayes.segments import cut
 
 STEPS = 5 * np.arange(41)  # 0.4 s
 
@@ -86,6 +87,18 @@ LOOSE = {
     "OverTimeAndVelocity": 0.05,
     "OverTimeAndPosition": 0.05,
 }
+
+
+def test_slow_motions_are_tried_where_recordings_are_cut(fitted):
+    """A sine of time goes on from one stretch to the next: what is slower than one of them is seen all the same."""
+    problem = fitted.problem
+    cut_up = problem.on(cut(problem.segments.recordings, 10, problem.segments.columns))
+    assert cut_up.segments.count == 8
+    for placed, same in zip(candidates(problem), candidates(cut_up), strict=True):
+        assert same.typical.duration == placed.typical.duration == pytest.approx(0.4)
+        if placed.effect.name in ("periodic_force", "base_vibration"):
+            slowest = min(t.columns[0]["frequency"] for t in same.effect.trials(same.typical))
+            assert slowest < 1.1 / 0.4  # one period in a recording; in a stretch at least four times as much
 
 
 @pytest.mark.parametrize("form", FORMS)
