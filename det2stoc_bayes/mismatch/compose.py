@@ -3,6 +3,7 @@
 from importlib.metadata import version
 
 import numpy as np
+from jaxtyping import Float
 
 from det2stoc_bayes.errors import listing
 from det2stoc_bayes.mismatch import finding
@@ -13,9 +14,11 @@ from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
 from det2stoc_bayes.mismatch.experiment import propose
 from det2stoc_bayes.mismatch.heldout import horizon_samples
 from det2stoc_bayes.mismatch.judgement import Judgement, Named
+from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element, excess_beyond_chance
 from det2stoc_bayes.mismatch.statements import alternatives, draws, drop, element, finer_step, parameters, statement
 from det2stoc_bayes.mismatch.where import Condition
+from det2stoc_bayes.problem import HasProblem
 
 UNLIKELY = 0.01  # tail probability under its prior at which a psi is said to lie far out
 LISTED = 4  # recordings by name in the summary
@@ -66,12 +69,12 @@ class Composer:
 
     def _effect(self, named: Named) -> finding.Effect:
         first, *others = named.chosen.members
-        listed = {}
+        listed, psi = {}, {}
         for m in (first, *others):
             here = m.placed in self.judged.after.problem.effects
             after = self.credence.after
             fit, z = (after.fit, after.z) if here else (m.fit, draws(m.fit, self.share, self.seed))
-            listed[m.placed] = parameters(fit, m.placed, z)
+            listed[m.placed], psi[m.placed] = parameters(fit, m.placed, z), self._moments(fit, z)
         equally = tuple(f"{m.placed.effect.name.replace('_', ' ')} on {m.placed.element.label}" for m in others)
         return finding.Effect(
             name=first.placed.effect.name,
@@ -83,7 +86,12 @@ class Composer:
             recordings="all",
             parameters=listed[first.placed],
             equivalent=tuple(
-                finding.Equivalent(name=m.placed.effect.name, element=element(m.placed), parameters=listed[m.placed])
+                finding.Equivalent(
+                    name=m.placed.effect.name,
+                    element=element(m.placed),
+                    parameters=listed[m.placed],
+                    psi=others_beyond(psi[m.placed], psi[first.placed]),
+                )
                 for m in others
             ),
             alternatives=tuple(alternatives(named.rest)),
@@ -159,12 +167,16 @@ class Composer:
 
     def _psi(self) -> dict[str, finding.PsiChange]:
         judged, out = self.judged, {}
-        before, after = (b.fit.problem.psi(b.z) for b in (self.credence.before, self.credence.after))
+        before, after = (self._moments(b.fit, b.z) for b in (self.credence.before, self.credence.after))
         for j, p in enumerate(self.study.parameters):
-            moments = [finding.Moments(mean=float(x[:, j].mean()), sd=float(x[:, j].std())) for x in (before, after)]
             tail = tail_probability(p, float(judged.after.problem.psi(judged.after.point.z)[j]))
-            out[p.name] = finding.PsiChange(before=moments[0], after=moments[1], prior_conflict=tail)
+            out[p.name] = finding.PsiChange(before=before[p.name], after=after[p.name], prior_conflict=tail)
         return out
+
+    def _moments(self, fit: HasProblem, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Moments]:
+        """Of each psi, by draws of a fit's unknowns."""
+        values = zip(self.study.parameters, fit.problem.psi(z).T, strict=True)
+        return {p.name: finding.Moments(mean=float(x.mean()), sd=float(x.std())) for p, x in values}
 
     def _summary(self, effects, candidates, fit: finding.Fit, psi: dict[str, finding.PsiChange]) -> str:
         if self.judged.verdict == "no_mismatch":
@@ -181,7 +193,7 @@ class Composer:
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         gone = drop(fit, "it" if len(effects) == 1 else "them")
         step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()
-        told = [text for e in effects for text in (e.statement, _untold(e, alone=len(effects) == 1))]
+        told = [t for e in effects for t in (e.statement, _untold(e, alone=len(effects) == 1), other_psi(e))]
         return " ".join(text for text in [*told, gone, step, left] if text)
 
     def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:

@@ -127,12 +127,18 @@ class Alternative(Entry):
     probability: Probability
 
 
+class Moments(Entry):
+    mean: Numbers
+    sd: Numbers
+
+
 class Equivalent(Entry):
     """An effect that no recording of the study tells from the one that lists it."""
 
     name: str
     element: Element
     parameters: dict[str, Parameter]
+    psi: dict[str, Moments] = Field(default={}, description="those beyond their sds from the named effect's")
 
 
 class RecordingPart(Entry):
@@ -181,11 +187,6 @@ class Fit(Entry):
     rollout_rmse_noise: dict[str, Number]
     unexplained_share: Share | None
     heldout_chose: bool = Field(default=False, description="held-out recordings also decided between explanations")
-
-
-class Moments(Entry):
-    mean: Numbers
-    sd: Numbers
 
 
 class PsiChange(Entry):

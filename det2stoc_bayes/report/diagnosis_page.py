@@ -199,6 +199,9 @@ def _effect(effect: Mapping[str, Any]) -> dict[str, Any]:
                 "name": contents.words(other["name"]),
                 "place": contents.place(other["element"]),
                 "parameters": contents.parameter_rows(other["parameters"]),
+                "psi": [
+                    f"{name} {numbers.plus_minus(m['mean'], m['sd'])}" for name, m in (other.get("psi") or {}).items()
+                ],
             }
             for other in effect["equivalent"]
         ],

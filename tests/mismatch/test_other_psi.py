@@ -1,0 +1,27 @@
+"""psi that hang on which of several equivalent effects it is."""
+
+from det2stoc_bayes.mismatch.finding import Effect, Element, Equivalent, Moments
+from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond
+
+NAMED = {"mass": Moments(mean=2.0, sd=0.1), "stiffness": Moments(mean=60.0, sd=1.0)}
+
+
+def effect(*psi):
+    rail = Element(kind="joint", name="rail")
+    others = [Equivalent(name=f"effect_{i}", element=rail, parameters={}, psi=p) for i, p in enumerate(psi)]
+    return Effect.model_validate(
+        {"name": "sensor_scale", "element": rail, "law": "", "statement": "", "probability": 1.0, "explains": 0.9}
+        | {"recordings": "all", "parameters": {}, "equivalent": others, "alternatives": []}
+    )
+
+
+def test_psi_that_differ_beyond_their_sds_are_told():
+    given = {"mass": Moments(mean=2.25, sd=0.1), "stiffness": Moments(mean=63.0, sd=1.0)}
+    assert others_beyond(given, NAMED) == {"stiffness": given["stiffness"]}  # 1.8 and 2.1 sds of the difference
+    assert others_beyond(NAMED, NAMED) == {}
+
+
+def test_the_sentence_names_the_effect_and_what_it_means():
+    assert other_psi(effect()) == other_psi(effect({}, {})) == ""
+    assert other_psi(effect({}, NAMED)) == "psi hangs on which it is: effect 1 on rail means mass 2, stiffness 60."
+    assert other_psi(effect(*[NAMED] * 5)).endswith("; 2 more mean others.")
