@@ -53,9 +53,27 @@ def test_every_kind_is_found_and_said_in_a_line(root) -> None:
         found["first"].verdict == "mismatch"
         and found["hidden_effects"].headline == "1 of 2 concealed studies told right"
     )
-    assert found["broken"].verdict == "unreadable" and "diagnosis.json" in found["broken"].headline
+    assert found["broken"].verdict == "unreadable" and found["broken"].headline.startswith(
+        "diagnosis.json lacks the key"
+    )
     with pytest.raises(Det2StocError, match="found no result; allowed: a folder with one of diagnosis.json"):
         results.read(root, "nothing")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b'{"verdict": "mismatch"}', "lacks the key '"),
+        (b"[]", "has values of another kind than det2stoc writes"),
+        (b'{"verdict": ', "is no JSON: "),
+        (b"\xff\xfe{", "is no text in UTF-8"),
+    ],
+)
+def test_damaged_files_say_what_is_wrong(tmp_path, content, said) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "diagnosis.json").write_bytes(content)
+    (result,) = results.find(tmp_path)
+    assert result.verdict == "unreadable" and said in result.headline
 
 
 def test_two_runs_stand_side_by_side(root) -> None:

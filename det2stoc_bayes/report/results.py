@@ -75,9 +75,19 @@ def _read(root: Path, folder: str, mark: str, stamp: int, size: int, files: tupl
     except Det2StocError as error:
         return Result(folder, kind, name, "unreadable", str(error), seconds, files)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        why = f"{mark} is not as det2stoc writes it ({type(error).__name__}: {error})"
-        return Result(folder, kind, name, "unreadable", why, seconds, files)
+        return Result(folder, kind, name, "unreadable", f"{mark} {_fault(error)}", seconds, files)
     return Result(folder, kind, name, verdict, headline, seconds, files, facts)
+
+
+def _fault(error: Exception) -> str:
+    """What is wrong with a file that is not as a command writes it."""
+    if isinstance(error, json.JSONDecodeError):
+        return f"is no JSON: {error}"
+    if isinstance(error, UnicodeDecodeError):
+        return "is no text in UTF-8"
+    if isinstance(error, KeyError):
+        return f"lacks the key {error}"
+    return "has values of another kind than det2stoc writes"
 
 
 def _json(path: Path, size: int) -> dict[str, Any]:
