@@ -41,7 +41,7 @@ def diagnosis_page(
     if not finding["where"]["when"]:
         rollouts = {stem: data.drop_vars("condition", errors="ignore") for stem, data in rollouts.items()}
     names = _names(finding["verdict"], fit, rollouts)
-    moving = replay.scene(fit, names)
+    moving = replay.scene(fit, names, finding)
     return page.render(
         "diagnosis.html.j2",
         title=f"{study_name}: {contents.BADGES[finding['verdict']].lower()}",
@@ -61,6 +61,8 @@ def diagnosis_page(
         recordings=_recordings(rollouts, names),
         replay=moving and page.embedded(moving),
         enlarged=replay.enlarged(moving),
+        traced=replay.traced(moving),
+        marked=moving is not None and bool(moving["marks"]),
         omitted=len(rollouts) - len(series.selection(rollouts)[0]),
         distribution=_distribution(rollouts, names),
         **_posterior(finding, fit, names),

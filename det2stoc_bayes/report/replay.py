@@ -1,7 +1,7 @@
 """The replay's data for the page: shapes, poses over time, and where to look from."""
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,11 @@ PARTS = ("recorded", "before", "after")
 SMALLEST = 0.03  # of the scene's diameter: bodies that are smaller are drawn larger
 ELEVATION, HIGHER = np.radians(16.0), np.radians(28.0)  # of the view, and by how much more over motion in a level plane
 ASIDE = np.radians(24.0)  # of the side from which most motion is seen
+STILL = 1e-6  # m: what moves less has no way
 DIGITS = 5
 
 
-def scene(fit: xr.DataTree, names: Mapping[str, str]) -> dict[str, Any] | None:
+def scene(fit: xr.DataTree, names: Mapping[str, str], finding: Mapping[str, Any]) -> dict[str, Any] | None:
     """What the browser needs; None where the fit holds no replay."""
     if "replay" not in fit or "motions" not in fit["replay"].children:
         return None
@@ -29,6 +30,10 @@ def scene(fit: xr.DataTree, names: Mapping[str, str]) -> dict[str, Any] | None:
     points = _centres(seen, poses.astype(float))
     low, high = _bounds(points, sizes[seen["of_body"].values >= 0])
     radius = max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
+    ways = {}
+    if finding["where"]["when"]:
+        reach = _reaching(seen, sizes)
+        ways = {stem: _way(seen, data, fit[f"rollouts/{stem}"].to_dataset(), reach) for stem, data in motions.items()}
     return {
         "shapes": _shapes(seen, meshes),
         "bodies": seen.sizes["bodies"],
@@ -37,13 +42,19 @@ def scene(fit: xr.DataTree, names: Mapping[str, str]) -> dict[str, Any] | None:
         "floor": float(low[2]),
         "radius": float(f"{radius:.{DIGITS}g}"),
         "view": _numbers(_view(points)),
-        "motions": {stem: _motion(data, names) for stem, data in motions.items()},
+        "motions": {stem: _motion(data, names) | ways.get(stem, {}) for stem, data in motions.items()},
+        "marks": _marks(finding["effects"]),
     }
 
 
 def enlarged(told: Mapping[str, Any] | None) -> bool:
     """Whether some body is drawn larger than it is."""
     return told is not None and any(scale > 1 for scale in told["scales"])
+
+
+def traced(told: Mapping[str, Any] | None) -> bool:
+    """Whether some motion shows where in space a condition holds."""
+    return told is not None and any("way" in motion for motion in told["motions"].values())
 
 
 def _parts(motion: xr.Dataset, names: Mapping[str, str]) -> list[str]:
@@ -55,6 +66,41 @@ def _motion(motion: xr.Dataset, names: Mapping[str, str]) -> dict[str, Any]:
     time = motion["time"].values
     poses = {part: _packed(motion[part].transpose("frame", "body", "pose").values) for part in _parts(motion, names)}
     return {"time": _packed(time - time[0]), "begin": float(time[0]), **poses}
+
+
+def _reaching(seen: xr.Dataset, sizes: Float[np.ndarray, " geoms"]) -> list[int]:
+    """The largest shape of every body that moves, counted among the shapes that do."""
+    of_body = seen["of_body"].values
+    moving = np.flatnonzero(of_body >= 0)
+    return [
+        max(np.flatnonzero(of_body[moving] == body).tolist(), key=lambda k: sizes[moving[k]])
+        for body in np.unique(of_body[moving])
+    ]
+
+
+def _way(seen: xr.Dataset, motion: xr.Dataset, rollout: xr.Dataset, reach: list[int]) -> dict[str, Any]:
+    """Centres (frames, bodies, 3) of these shapes where they move, and in which frames the condition holds."""
+    if "condition" not in rollout or not rollout["condition"].values.any():
+        return {}
+    poses = motion[next(part for part in PARTS if part in motion)].transpose("frame", "body", "pose").values
+    centres = _centres(seen, poses.astype(float))[:, reach]
+    times = rollout["time"].values
+    nearest = np.abs(times[:, None] - motion["time"].values).argmin(0)
+    there = np.where(np.isfinite(centres), centres, np.nan_to_num(centres[:1]))
+    moves = np.ptp(there, axis=0).max(1) > STILL
+    acts = "".join("1" if held else "0" for held in rollout["condition"].values[nearest])
+    return {"way": _packed(centres[:, moves]), "acts": acts}
+
+
+def _marks(effects: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Places in space among the parameters of named effects; with a normal where they are the edge of a region."""
+    found = []
+    for parameters in (effect["parameters"] for effect in effects):
+        at = next((parameters[name] for name in ("point", "anchor", "centre") if name in parameters), None)
+        if at is not None:
+            normal = parameters.get("normal")
+            found.append({"at": _numbers(at["mean"]), "normal": normal and _numbers(normal["mean"])})
+    return found
 
 
 def _shapes(seen: xr.Dataset, meshes: xr.Dataset) -> list[dict[str, Any]]:
@@ -148,5 +194,5 @@ def _packed(values: np.ndarray, dtype: str = "<f4") -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype).tobytes()).decode("ascii")
 
 
-def _numbers(values: np.ndarray) -> list[float]:
+def _numbers(values: np.ndarray | Sequence[float]) -> list[float]:
     return [float(f"{value:.{DIGITS}g}") for value in np.asarray(values, float)]

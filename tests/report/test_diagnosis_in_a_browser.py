@@ -197,6 +197,17 @@ def test_plots_over_time_zoom_together(page) -> None:
 
 
 @pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
+def test_the_way_in_space_has_beads_where_the_condition_holds(page, fit) -> None:
+    held = fit["rollouts/swing_00"]["condition"].values[::3]
+    assert page.locator("#stage").get_attribute("data-beads") == str(2 * held.sum()) != "0"  # of two bodies
+    page.locator("#next").press("Enter")
+    assert int(page.locator("#stage").get_attribute("data-beads") or 0) > 0  # of the simulator's motion
+    page.locator("#recording").select_option(index=2)
+    assert page.locator("#stage").get_attribute("data-beads") == "0"
+    assert "Beads mark where" in page.locator(".moment").inner_text()
+
+
+@pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
 def test_recordings_without_positions_or_replay_say_so(page) -> None:
     assert page.locator("#stage-note").inner_text() == ""
     page.locator("#next").press("Enter")

@@ -12,7 +12,7 @@ import xarray as xr
 from plotly.offline import get_plotlyjs
 
 from det2stoc_bayes.mismatch.finding import Finding
-from det2stoc_bayes.report import diagnosis_page
+from det2stoc_bayes.report import diagnosis_page, replay
 from det2stoc_bayes.report.page import asset
 
 HEADINGS = {
@@ -200,6 +200,22 @@ def test_equivalent_effects_vectors_and_names_are_shown(finding, fit) -> None:
     assert "or equally com offset of body hand" in words
     assert "(0.100 ± 0.010, 0.200 ± 0.010, 0.300 ± 0.010) m" in words
     assert "elbow" in words and "conflicts with its prior" in words
+
+
+@pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
+def test_regions_and_points_of_effects_are_marked_in_space(finding, fit) -> None:
+    names = {"before": "believed", "after": "corrected"}
+    assert replay.scene(fit, names, finding)["marks"] == []
+    vector = {"sd": [0.01] * 3, "interval": [[0, 1]] * 3, "unit": "m"}
+    patch = {"ratio": {"mean": 0.5}, "point": {"mean": [0.1, 0.2, 0.0], **vector}}
+    patch["normal"] = {"mean": [1.0, 0.0, 0.0], **vector}
+    tether = {"anchor": {"mean": [0.0, 0.0, 1.0], **vector}}
+    for effect, parameters in zip(2 * finding["effects"], (patch, tether), strict=False):
+        finding["effects"] = [effect | {"parameters": parameters}]
+        told = replay.scene(fit, names, finding)["marks"]
+        assert [m["normal"] for m in told] == [[1.0, 0.0, 0.0] if "normal" in parameters else None]
+    finding["where"]["when"] = []
+    assert not replay.traced(replay.scene(fit, names, finding))
 
 
 @pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)

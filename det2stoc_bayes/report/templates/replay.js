@@ -8,11 +8,7 @@
   const note = document.getElementById("stage-note");
   const PARTS = ["recorded", "before", "after"];
 
-  function bytes(text) {
-    return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer;
-  }
-  const floats = (text) => new Float32Array(bytes(text));
-
+  const { floats, geometry, place, below, grid, cell, wide } = shapesOf(told);
   let renderer;
   try {
     renderer = new THREE.WebGLRenderer({ canvas: stage, antialias: true, alpha: true });
@@ -36,48 +32,7 @@
   scene.add(sky, lamp);
 
   const plain = ({ colour }) => colour.every((value, i) => Math.abs(value - [0.5, 0.5, 0.5, 1][i]) < 1e-3);
-  const decade = 10 ** Math.floor(Math.log10(told.radius / 2));
-  const cell = [5, 2, 1].find((step) => step * decade <= told.radius / 2) * decade;
-  const wide = Math.ceil((1.5 * told.radius) / cell) * cell;
-
-  // A plane without end is drawn below what moves.
-  function below(shape) {
-    const [w, x, y, z] = shape.quaternion;
-    const own = new THREE.Vector3(...told.centre).sub(new THREE.Vector3(...shape.position));
-    own.applyQuaternion(new THREE.Quaternion(x, y, z, w).invert());
-    return [shape.size[0] ? 0 : Math.round(own.x / cell) * cell, shape.size[1] ? 0 : Math.round(own.y / cell) * cell];
-  }
-
-  function geometry(shape) {
-    const [a, b, c] = shape.size;
-    switch (shape.kind) {
-      case "plane": {
-        const [x, y] = below(shape);
-        return new THREE.PlaneGeometry(2 * (a || wide), 2 * (b || wide)).translate(x, y, 0);
-      }
-      case "sphere": return new THREE.SphereGeometry(a, 24, 16);
-      case "ellipsoid": return new THREE.SphereGeometry(1, 24, 16).scale(a, b, c);
-      case "capsule": return new THREE.CapsuleGeometry(a, 2 * b, 8, 20).rotateX(Math.PI / 2);
-      case "cylinder": return new THREE.CylinderGeometry(a, a, 2 * b, 28).rotateX(Math.PI / 2);
-      case "box": return new THREE.BoxGeometry(2 * a, 2 * b, 2 * c);
-      default: {
-        const mesh = new THREE.BufferGeometry();
-        mesh.setAttribute("position", new THREE.BufferAttribute(floats(shape.vertices), 3));
-        mesh.setIndex(new THREE.BufferAttribute(new Uint32Array(bytes(shape.faces)), 1));
-        const flat = mesh.toNonIndexed();
-        flat.computeVertexNormals();
-        return flat;
-      }
-    }
-  }
   const forms = told.shapes.map(geometry);
-
-  function place(mesh, shape) {
-    const [w, x, y, z] = shape.quaternion;
-    mesh.position.set(...shape.position);
-    mesh.quaternion.set(x, y, z, w);
-    return mesh;
-  }
 
   // Ghosts lie a little behind what was recorded, so that where they agree the recording is seen.
   const ghosts = {};
@@ -120,24 +75,55 @@
 
   // Lines on planes, or on a floor where the model has none: something to see the motion against.
   const ink = new THREE.LineBasicMaterial();
-  function grid(x, y, a, b) {
-    const corners = [];
-    for (let offset = -a; offset <= a + cell / 2; offset += cell) corners.push(x + offset, y - b, 0, x + offset, y + b, 0);
-    for (let offset = -b; offset <= b + cell / 2; offset += cell) corners.push(x - a, y + offset, 0, x + a, y + offset, 0);
-    const lines = new THREE.BufferGeometry();
-    lines.setAttribute("position", new THREE.BufferAttribute(new Float32Array(corners), 3));
-    return new THREE.LineSegments(lines, ink);
-  }
   const planes = told.shapes.filter((shape) => shape.body < 0 && shape.kind === "plane");
   planes.filter((shape) => !shape.size[0] && !shape.size[1]).forEach((shape) => {
-    scene.add(place(grid(...below(shape), wide, wide), shape));
+    scene.add(place(grid(...below(shape), ink), shape));
   });
   if (!planes.length) {
     const [x, y] = told.centre;
-    const floor = grid(Math.round(x / cell) * cell, Math.round(y / cell) * cell, wide, wide);
+    const floor = grid(Math.round(x / cell) * cell, Math.round(y / cell) * cell, ink);
     floor.position.z = told.floor;
     scene.add(floor);
   }
+
+  // Where in space the condition holds: the way of every body's largest shape, with beads where it does.
+  const way = new THREE.Group();
+  const beads = new THREE.MeshLambertMaterial();
+  const bead = new THREE.SphereGeometry(0.012 * told.radius, 10, 8);
+  scene.add(way);
+  function trace(chosen) {
+    way.clear();
+    stage.dataset.beads = "0";
+    if (!chosen?.way) return;
+    const points = floats(chosen.way);
+    const count = points.length / 3 / chosen.acts.length;
+    for (let body = 0; body < count; body++) {
+      const [line, at] = [[], (frame) => points.subarray(3 * (frame * count + body), 3 * (frame * count + body) + 3)];
+      for (let frame = 0; frame < chosen.acts.length; frame++) {
+        if (!Number.isFinite(at(frame)[0])) continue;
+        if (frame && Number.isFinite(at(frame - 1)[0])) line.push(...at(frame - 1), ...at(frame));
+        if (chosen.acts[frame] !== "1") continue;
+        const ball = new THREE.Mesh(bead, beads);
+        ball.position.set(...at(frame));
+        way.add(ball);
+      }
+      const lines = new THREE.BufferGeometry();
+      lines.setAttribute("position", new THREE.BufferAttribute(new Float32Array(line), 3));
+      way.add(new THREE.LineSegments(lines, ink));
+    }
+    stage.dataset.beads = String(way.children.filter((one) => one.geometry === bead).length);
+  }
+
+  // Places that named effects have: a patch's edge, the point that a string or a pull goes to.
+  const places = new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.3, side: THREE.DoubleSide });
+  told.marks.forEach(({ at, normal }) => {
+    const size = normal ? 0.8 * told.radius : 0.03 * told.radius;
+    const form = normal ? new THREE.PlaneGeometry(2 * size, 2 * size) : new THREE.SphereGeometry(size, 20, 14);
+    const mark = new THREE.Mesh(form, normal ? places : beads);
+    if (normal) mark.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), new THREE.Vector3(...normal).normalize());
+    mark.position.set(...at);
+    scene.add(mark);
+  });
 
   function paint() {
     const style = getComputedStyle(document.documentElement);
@@ -145,6 +131,7 @@
     Object.entries(ghosts).forEach(([part, own]) => own.color.copy(value(`--${part}`)));
     inks.forEach(([own, name]) => own.color.copy(value(name)));
     ink.color.copy(value("--line"));
+    [beads, places].forEach((own) => own.color.copy(value("--span-edge")));
     request();
   }
 
@@ -213,6 +200,7 @@
     const chosen = Object.hasOwn(told.motions, stem) ? told.motions[stem] : null;
     motion = chosen && { time: floats(chosen.time).map((t) => t + chosen.begin) };
     PARTS.forEach((one) => { poses[one] = chosen?.[one] ? floats(chosen[one]) : null; });
+    trace(chosen);
     stage.hidden = !chosen;
     magnify.disabled = !chosen?.recorded;
     if (!chosen) note.textContent = "This recording has no replay: it is kept for the six that are predicted worst.";
