@@ -160,11 +160,26 @@ def _assemble(
         for k, i in enumerate(moved):
             mine = problem.segments.recording == k
             j[mine, :, i] = column[mine]
+    _follow_own(problem, point.z, j)
     error, measurement = r[0] * problem.weight, problem.measurement
     peak = log_peak(problem.weight, measurement)
     latent = factorize(a, problem.weight * measurement.slope(error), problem.guess.prior_sd, peak)
     stacked = latent.stack_whitened(measurement.bend(error)[..., None], tangent(problem, point.start)[..., None])
     return Linearization(problem, point, latent, stacked, latent.stack(j))
+
+
+def _follow_own(problem: Problem, z: np.ndarray, columns: Float[np.ndarray, "segments values size"]) -> None:
+    """Sensitivities to what recordings share of a psi that varies, from those to their own values.
+
+    Finite differences of both would differ by more than the recordings tell: mu and the own values would hold each
+    other where they are, although a prediction sees only their sum.
+    """
+    rows, recording = np.arange(problem.segments.count), problem.segments.recording
+    for block in problem.unknowns.varying:
+        own = columns[rows, :, block.first_own + recording]
+        for i, slope in enumerate(block.shared_slopes(z), block.begin):
+            if columns[..., i].any() and np.isfinite(slope).all():
+                columns[..., i] = own * slope[recording][:, None]
 
 
 def tangent(problem: Problem, start: Start) -> Float[np.ndarray, "segments states"]:

@@ -70,6 +70,17 @@ class Block:
         loc, scale = self.population(z, xp)[..., None], self.sigma(z, xp)[..., None]
         return of_population(self.parameter, loc, scale, z[..., self.first_own : self.stop], xp)
 
+    def shared_slopes(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, "shared recordings"]:
+        """By how much a recording's own unknown would have to move for what mu, and sigma if unknown, do to its value.
+
+        A value reaches the prediction alone, so that this holds of sensitivities as well. NaN where it stands still.
+        """
+        own = np.where(np.arange(len(z)) >= self.first_own, TANGENT_STEP, 0.0)
+        steps = [*(TANGENT_STEP * np.eye(len(z))[self.begin : self.first_own]), own]
+        *shared, alone = (self.values(z + step) - self.values(z - step) for step in steps)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(np.abs(alone) > 0, np.array(shared) / alone, np.nan)
+
 
 @dataclass(frozen=True)
 class Unknowns:
