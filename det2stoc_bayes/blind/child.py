@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock
+from threading import Lock, Timer
 from typing import Any
 
 import det2stoc_bayes
@@ -20,6 +20,7 @@ from det2stoc_bayes.files import write_all
 DIAGNOSE = ("-m", "det2stoc_bayes", "diagnose")  # of this Python, followed by STUDY --out DIR
 INTERRUPTED = (130, -signal.SIGINT, -signal.SIGTERM)
 LONGEST = 2000  # characters of what a failed one said
+LIMIT = 7200.0  # s that one may take; it is killed then, and scored as failed
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,14 @@ class Children:
         self._lock, self._over = Lock(), False
 
     def wait(self, command: Sequence[str], **options: Any) -> tuple[int, float]:
-        """Run a command: its exit code, and its peak memory in megabytes."""
+        """Run a command, for LIMIT at most: its exit code, and its peak memory in megabytes."""
         with self._lock:
             if self._over:
                 raise Det2StocError("interrupted")
             child = subprocess.Popen(command, **options)
             self._running.add(child)
+        late = Timer(LIMIT, child.kill)
+        late.start()
         try:
             _, status, usage = os.wait4(child.pid, 0)
             child.returncode = os.waitstatus_to_exitcode(status)
@@ -54,6 +57,7 @@ class Children:
             child.wait()
             raise
         finally:
+            late.cancel()
             self._running.discard(child)
         return child.returncode, usage.ru_maxrss / 1024.0
 
@@ -90,6 +94,8 @@ def diagnosed(
             raise Det2StocError("interrupted")
         if code or not result.is_file():
             told = said.read_text("utf-8", errors="replace")[-LONGEST:]
+            if seconds >= LIMIT:
+                told = f"killed after {LIMIT:.0f} s; {told}"
             return Outcome({"verdict": f"failed ({code})", "error": told}, None, seconds, megabytes)
         return Outcome(json.loads(result.read_text("utf-8")), _rollout(out / "fit.nc"), seconds, megabytes)
 

@@ -195,6 +195,13 @@ def test_an_answer_does_not_travel(told):
     assert SECRET.encode() not in away.sent and b"rail" not in away.sent
 
 
+def test_a_diagnosis_that_does_not_end_is_a_failure(told, monkeypatch):
+    monkeypatch.setattr("det2stoc_bayes.blind.child.LIMIT", 1.0)
+    found = diagnosed(case(0, 60.0).encoded(), (str(told),))
+    assert found.diagnosis["verdict"] == "failed (-9)" and found.diagnosis["error"].startswith("killed after 1 s")
+    assert found.seconds < 20.0
+
+
 def test_a_small_study_from_end_to_end(tmp_path):
     lines = proof.run({"control": 1}, Choice(), tmp_path / "log.jsonl", seed="1", draw=tiny)
     assert lines[0]["diagnosis"]["verdict"] == "no_mismatch", lines[0]["diagnosis"]
