@@ -96,10 +96,10 @@ def _marks(effects: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Places in space among the parameters of named effects; with a normal where they are the edge of a region."""
     found = []
     for parameters in (effect["parameters"] for effect in effects):
-        at = next((parameters[name] for name in ("point", "anchor", "centre") if name in parameters), None)
-        if at is not None:
-            normal = parameters.get("normal")
-            found.append({"at": _numbers(at["mean"]), "normal": normal and _numbers(normal["mean"])})
+        at = next((parameters[name]["mean"] for name in ("point", "anchor", "centre") if name in parameters), None)
+        normal = parameters["normal"]["mean"] if "normal" in parameters else None
+        if at is not None and None not in (*at, *(normal or ())):
+            found.append({"at": _numbers(at), "normal": normal and _numbers(normal)})
     return found
 
 
