@@ -3,7 +3,6 @@
 from importlib.metadata import version
 
 import numpy as np
-from jaxtyping import Float
 
 from det2stoc_bayes.errors import listing
 from det2stoc_bayes.mismatch import finding
@@ -16,9 +15,17 @@ from det2stoc_bayes.mismatch.heldout import horizon_samples
 from det2stoc_bayes.mismatch.judgement import Judgement, Named
 from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element, excess_beyond_chance
-from det2stoc_bayes.mismatch.statements import alternatives, draws, drop, element, finer_step, parameters, statement
+from det2stoc_bayes.mismatch.statements import (
+    alternatives,
+    draws,
+    drop,
+    element,
+    finer_step,
+    parameters,
+    psi_moments,
+    statement,
+)
 from det2stoc_bayes.mismatch.where import Condition
-from det2stoc_bayes.problem import HasProblem
 
 UNLIKELY = 0.01  # tail probability under its prior at which a psi is said to lie far out
 LISTED = 4  # recordings by name in the summary
@@ -74,7 +81,7 @@ class Composer:
             here = m.placed in self.judged.after.problem.effects
             after = self.credence.after
             fit, z = (after.fit, after.z) if here else (m.fit, draws(m.fit, self.share, self.seed))
-            listed[m.placed], psi[m.placed] = parameters(fit, m.placed, z), self._moments(fit, z)
+            listed[m.placed], psi[m.placed] = parameters(fit, m.placed, z), psi_moments(fit, z)
         equally = tuple(f"{m.placed.effect.name.replace('_', ' ')} on {m.placed.element.label}" for m in others)
         return finding.Effect(
             name=first.placed.effect.name,
@@ -167,16 +174,11 @@ class Composer:
 
     def _psi(self) -> dict[str, finding.PsiChange]:
         judged, out = self.judged, {}
-        before, after = (self._moments(b.fit, b.z) for b in (self.credence.before, self.credence.after))
+        before, after = (psi_moments(b.fit, b.z) for b in (self.credence.before, self.credence.after))
         for j, p in enumerate(self.study.parameters):
             tail = tail_probability(p, float(judged.after.problem.psi(judged.after.point.z)[j]))
             out[p.name] = finding.PsiChange(before=before[p.name], after=after[p.name], prior_conflict=tail)
         return out
-
-    def _moments(self, fit: HasProblem, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Moments]:
-        """Of each psi, by draws of a fit's unknowns."""
-        values = zip(self.study.parameters, fit.problem.psi(z).T, strict=True)
-        return {p.name: finding.Moments(mean=float(x.mean()), sd=float(x.std())) for p, x in values}
 
     def _summary(self, effects, candidates, fit: finding.Fit, psi: dict[str, finding.PsiChange]) -> str:
         if self.judged.verdict == "no_mismatch":

@@ -53,6 +53,12 @@ def parameters(
     }
 
 
+def psi_moments(fit: HasProblem, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Moments]:
+    """Mean and sd of each psi, by draws of a fit's unknowns."""
+    values = zip(fit.problem.simulator.parameters, fit.problem.psi(z).T, strict=True)
+    return {p.name: finding.Moments(mean=float(x.mean()), sd=float(x.std())) for p, x in values}
+
+
 def rounded(q: finding.Quantity) -> str:
     """`0.310 +- 0.012 N m`, with two digits of uncertainty; a vector's components in brackets."""
     unit = "" if q.unit in ("", "1") else f" {q.unit}"

@@ -18,7 +18,7 @@ from det2stoc_bayes.mismatch.contact.window_starts import LOOKED_AT
 from det2stoc_bayes.mismatch.contact.windows import STRIDE
 from det2stoc_bayes.mismatch.replay import replay
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element
-from det2stoc_bayes.mismatch.statements import drop, element, parameters, statement
+from det2stoc_bayes.mismatch.statements import drop, element, parameters, psi_moments, statement
 from det2stoc_bayes.mismatch.where import Condition
 
 NUM_DRAWS = 1000
@@ -150,14 +150,11 @@ class ContactComposer:
     def _psi(self) -> dict[str, finding.PsiChange]:
         out = {}
         pairs = {"before": self.said.before, "after": self.said.shown}
-        values = {k: p.fit.problem.psi(self.draws[k]) for k, p in pairs.items()}
+        before, after = (psi_moments(p.fit, self.draws[k]) for k, p in pairs.items())
         here = self.said.shown.fit
         for j, p in enumerate(self.study.parameters):
-            moments = [
-                finding.Moments(mean=float(values[k][:, j].mean()), sd=float(values[k][:, j].std())) for k in pairs
-            ]
             tail = tail_probability(p, float(here.problem.psi(here.z)[j]))
-            out[p.name] = finding.PsiChange(before=moments[0], after=moments[1], prior_conflict=tail)
+            out[p.name] = finding.PsiChange(before=before[p.name], after=after[p.name], prior_conflict=tail)
         return out
 
     def _summary(self, effects, candidates, fit: finding.Fit, psi) -> str:

@@ -8,7 +8,8 @@
   const note = document.getElementById("stage-note");
   const PARTS = ["recorded", "before", "after"];
 
-  const { floats, geometry, place, below, grid, cell, wide } = shapesOf(told);
+  const { floats, geometry, place, below, grid, cell } = shapesOf(told);
+
   let renderer;
   try {
     renderer = new THREE.WebGLRenderer({ canvas: stage, antialias: true, alpha: true });

@@ -40,6 +40,7 @@ const shapesOf = (told) => {
       }
     }
   }
+
   function place(mesh, shape) {
     const [w, x, y, z] = shape.quaternion;
     mesh.position.set(...shape.position);
@@ -57,5 +58,5 @@ const shapesOf = (told) => {
     return new THREE.LineSegments(lines, ink);
   }
 
-  return { floats, geometry, place, below, grid, cell, wide };
+  return { floats, geometry, place, below, grid, cell };
 };
