@@ -20,6 +20,7 @@ from det2stoc_bayes.psis import r_hats, stacking_weights, standard_errors
 
 MOST_ERRORS = 3.0  # Monte-Carlo standard errors by which means of the cheap and the exact way may differ
 SD_RATIO = (0.85, 1.18)
+SERIOUS = 1e-6  # probability of a rival below which no weight of it is asked for
 MIXED = 1.05  # R-hat of chains that agree with each other
 Progress = Callable[[str, int, int], None]
 
@@ -101,11 +102,12 @@ def _believed(fit: Fit, share: float, seed: int, temper: Temper | None) -> Belie
 
 
 def _rivals(judged: Judgement) -> dict[str, Fit]:
-    """The best other class of each place, by the label of the effect that stands there."""
+    """The best other class of each place that may be true, by the label of the effect that stands there."""
     out = {}
     for named in judged.named:
-        if named.rest:
-            other = max(named.rest, key=lambda c: c.probability).members[0]
+        best = max(named.rest, key=lambda c: c.probability, default=None)
+        if best is not None and best.probability > SERIOUS:
+            other = best.members[0]
             i = list(judged.after.problem.effects).index(named.placed)
             out[f"{other.placed.label} instead of {named.placed.label}"] = swap(judged.after, i, other)
     return out

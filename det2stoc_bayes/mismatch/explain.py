@@ -8,7 +8,6 @@ import numpy as np
 from det2stoc_bayes.mismatch.crossed import others_exist, untold
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence, log_told
-from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.kin import truer_pair, with_kin
 from det2stoc_bayes.mismatch.looks import Looks
 from det2stoc_bayes.mismatch.numerics import comparable
@@ -138,22 +137,33 @@ def grow(first: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks)
     """The best effects one after the other, or two at once; and fits without each of those that stay."""
     slot = first
     while True:
-        better = _better(slot, needed, first.base, looks)
+        better = _better(slot, pool, needed, first.base, looks)
         if better is None:
             return _prune(slot.base, needed)
-        better = extend(better)
+        better = looks.extended(better)
         if len(better.problem.effects) >= MAX_EFFECTS or enough(better, first.base):
             return _prune(better, needed)
         slot = looks.at(better, pool)
 
 
-def _better(slot: Slot, needed: float, believed: Fit, looks: Looks) -> Fit | None:
+def _better(slot: Slot, pool: Sequence[PlacedEffect], needed: float, believed: Fit, looks: Looks) -> Fit | None:
     """The next step; None where nothing earns its place. More pairs are tried before a misfit is called unexplained."""
     base = slot.base
+    if (first := _leading(slot, pool, needed, looks)) is not None:
+        return first
     found = _best_of(slot, needed, believed, looks, NUM_PAIRS)
     if found is None and not base.problem.effects and base.noise_inflation >= MODEL_ERROR:
         return _best_of(slot, needed, believed, looks, NUM_WIDE)
     return found
+
+
+def _leading(slot: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks) -> Fit | None:
+    """The best addition, where a second one beside it leaves but chance: one after the other is found soonest."""
+    best = slot.ranked[0] if slot.ranked else None
+    if best is None or best.gain < needed or len(slot.base.problem.effects) + 2 > MAX_EFFECTS or by_chance(best.fit):
+        return None
+    second = looks.at(looks.extended(best.fit), pool)
+    return best.fit if any(r.gain >= needed and by_chance(r.fit) for r in second.ranked) else None
 
 
 def _best_of(slot: Slot, needed: float, believed: Fit, looks: Looks, num_pairs: int) -> Fit | None:
@@ -244,7 +254,7 @@ def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], l
     base = base or without(final, i)
     if base is None:
         return Slot(final, (), (own,))
-    slot = looks.at(base, pool)
+    slot = looks.at(base, pool, own.fit)
     return _with_rivals(slot, replace(own, gain=gain(slot.base, own.fit, effective_share(final))))
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.race import Progress, Slot, look, look_again, refine_pairs
 from det2stoc_bayes.mismatch.screen import Screened
 from det2stoc_bayes.optimize import Fit
@@ -18,15 +19,25 @@ class Looks:
         self.others_chose = False  # recordings that were not fitted decided between additions
         self._slots: dict[Hypothesis, tuple[frozenset[PlacedEffect], Slot]] = {}
         self._pairs: dict[Hypothesis, dict[frozenset[PlacedEffect], Fit | None]] = {}
+        self._extended: dict[Hypothesis, Fit] = {}
 
-    def at(self, base: Fit, pool: Sequence[PlacedEffect]) -> Slot:
-        """Candidates of the pool beside a fit; of a pool that has grown since, beside the fit anew."""
+    def at(self, base: Fit, pool: Sequence[PlacedEffect], present: Fit | None = None) -> Slot:
+        """Candidates of the pool beside a fit; of a pool that has grown since, beside the fit anew.
+
+        Where they are to take the place of one `present`, only those that may are refined.
+        """
         seen, known = self._slots.get(_key(base), (frozenset(), None))
         if known is not None and seen.issuperset(pool):
-            return look_again(known, pool, self.progress)
-        slot = look(base, pool, self.progress)
+            return look_again(known, pool, self.progress, present)
+        slot = look(base, pool, self.progress, present)
         self._slots[_key(base)] = frozenset(pool), slot
         return slot
+
+    def extended(self, fit: Fit) -> Fit:
+        """The same hypothesis at a longer horizon, where one has become possible."""
+        if _key(fit) not in self._extended:
+            self._extended[_key(fit)] = extend(fit)
+        return self._extended[_key(fit)]
 
     def know(self, slot: Slot, pool: Sequence[PlacedEffect]) -> None:
         """Takes over what was seen before of a pool beside the slot's fit."""

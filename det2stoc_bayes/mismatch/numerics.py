@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence, profile
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Finer, Problem
 
@@ -71,9 +71,14 @@ def _excess(fit: Fit) -> float:
 
 
 def _without_error(fits: Sequence[Fit]) -> list[Fit]:
-    """Fits with the held error of the believed timestep taken off; as they are where it hardly matters."""
+    """Fits with the held error of the believed timestep taken off; as they are where it decides nothing."""
     found = [_converged(f, float(f.problem.simulator.model.opt.timestep)) for f in fits]
-    shifted = {i: replace(fits[i].problem, finer=Finer(*c)) for i, c in enumerate(found) if c is not None}
+    promised = [log_evidence(f) + (0.0 if c is None else _promise(f, c[2])) for f, c in zip(fits, found, strict=True)]
+    shifted = {
+        i: replace(fits[i].problem, finer=Finer(*c))
+        for i, c in enumerate(found)
+        if c is not None and promised[i] > max(promised) - NEAR
+    }
     again = fit_many([(p, fits[i].point) for i, p in shifted.items()], tolerance=0.3) if shifted else []
     better = dict(zip(shifted, again, strict=True))
     return [better.get(i) or f for i, f in enumerate(fits)]
@@ -106,8 +111,23 @@ def _change(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
         return 0.0
     lin = fit.linear
     difference = fit.problem.residuals(here) - fit.problem.residuals(there)
-    x = lin.latent.project(lin.latent.stack(difference[..., None]))[..., 0]
-    j = lin.latent.project(lin.columns)
+    return _unabsorbed(fit, lin.latent.project(lin.latent.stack(difference[..., None]))[..., 0])
+
+
+def _promise(fit: Fit, shift: Float[np.ndarray, "segments samples columns"]) -> float:
+    """What a shift of the prediction gains in log likelihood to first order, nats."""
+    lin = fit.linear
+    moved = lin.latent.project(lin.latent.stack(shift.reshape(len(shift), -1, 1)))[..., 0]
+    r = lin.latent.project(lin.stacked)[..., 0]
+    chi2 = fit.chi2 + _unabsorbed(fit, r - moved) - _unabsorbed(fit, r)
+    n = lin.degrees_of_freedom
+    told = [-profile(x, max(1.0, x / fit.problem.measurement.mean_square / n), n) for x in (fit.chi2, max(chi2, 0.0))]
+    return told[1] - told[0]
+
+
+def _unabsorbed(fit: Fit, x: Float[np.ndarray, "segments stacked"]) -> float:
+    """The squared length of what unknowns do not take up, to first order, of a whitened change."""
+    j = fit.linear.latent.project(fit.linear.columns)
     slope = np.einsum("snk,sn->k", j, x)
     gram = np.einsum("snk,snl->kl", j, j) + np.eye(fit.problem.size)
     return float((x**2).sum() - (slope @ np.linalg.solve(gram, slope) if fit.problem.size else 0.0))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_evidence
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence
 from det2stoc_bayes.mismatch.pairs import pairs, varied
 from det2stoc_bayes.mismatch.screen import Screened, screen
 from det2stoc_bayes.mismatch.shortlist import shortlist
@@ -49,10 +49,10 @@ def threshold(num_candidates: int) -> float:
     return LEAST_GAIN + float(np.log(max(num_candidates, 1)))
 
 
-def look(base: Fit, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
-    """Screen every candidate beside a fit and refine those that may earn their place."""
+def look(base: Fit, pool: Sequence[PlacedEffect], progress: Progress, present: Fit | None = None) -> Slot:
+    """Screen every candidate beside a fit and refine those that may earn their place, or that of one `present`."""
     advance = counted(progress, "screening effects", len(pool))
-    return _refined(base, screen(base, pool, advance), (), len(pool), progress)
+    return _refined(base, screen(base, pool, advance), (), len(pool), progress, present)
 
 
 def counted(progress: Progress, stage: str, total: int) -> Callable[[int], None]:
@@ -67,13 +67,20 @@ def counted(progress: Progress, stage: str, total: int) -> Callable[[int], None]
     return advance
 
 
-def look_again(slot: Slot, pool: Sequence[PlacedEffect], progress: Progress) -> Slot:
+def look_again(slot: Slot, pool: Sequence[PlacedEffect], progress: Progress, present: Fit | None = None) -> Slot:
     """The same look with fewer candidates."""
     screened = [s for s in slot.screened if s.placed in pool]
-    return _refined(slot.base, screened, slot.ranked, len(pool), progress)
+    return _refined(slot.base, screened, slot.ranked, len(pool), progress, present)
 
 
-def _refined(base: Fit, screened: Sequence[Screened], known: Sequence[Ranked], count: int, progress: Progress) -> Slot:
+def _refined(
+    base: Fit,
+    screened: Sequence[Screened],
+    known: Sequence[Ranked],
+    count: int,
+    progress: Progress,
+    present: Fit | None,
+) -> Slot:
     """Joint Gauss-Newton of psi and each candidate that may earn its place, best evidence first."""
     best = screened[0].log_evidence if screened else 0.0
     least = max(PROMISING * best, threshold(count) / 3)
@@ -81,7 +88,7 @@ def _refined(base: Fit, screened: Sequence[Screened], known: Sequence[Ranked], c
     fits = {r.placed: r.fit for r in known if r.placed in {s.placed for s in worth}}
     new = [s for s in worth if s.placed not in fits]
     progress("refining the best", 0, len(new))
-    found = race(base, [added(base, t.change, [(t, t.coefficients)]) for s in new for t in _starts(s)])
+    found = race(base, [added(base, t.change, [(t, t.coefficients)]) for s in new for t in _starts(s)], present=present)
     progress("refining the best", len(new), len(new))
     fits |= {f.problem.effects[-1]: f for f in found}
     share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
@@ -127,10 +134,12 @@ def added(
     return problem, Point(np.concatenate(z), base.point.start)
 
 
-def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = None) -> list[Fit]:
+def race(
+    base: Fit, points: Sequence[tuple[Problem, Point]], *, most: int | None = None, present: Fit | None = None
+) -> list[Fit]:
     """Fits of several hypotheses; after a sketch of each only those (at most `most`) still in the race go on.
 
-    A hypothesis may start from several points: its best fit is returned.
+    A hypothesis may start from several points: its best fit is returned. Who is behind the one `present` is out, too.
 
     Positive parameters that end where the effect is absent drop their hypothesis.
     """
@@ -140,13 +149,16 @@ def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = 
     fits = [f for f in sketch(base, points, tolerance=tolerance(base)) if f is not None]
     if not fits:
         return []
-    share = effective_share(min(fits, key=lambda f: f.chi2))
+    ahead = min(fits if present is None else [*fits, present], key=lambda f: f.chi2)
+    share = effective_share(ahead)
     evidence, floor = {id(f): log_evidence(f, share) for f in fits}, log_evidence(base, share)
-    top = max(evidence.values())
+    top = max(*evidence.values(), log_evidence(ahead, share))
     behind = np.clip(RACE[1] * (top - floor), RACE[0], RACE[2])
     fits = sorted(fits, key=lambda f: -evidence[id(f)])[:most]
-    # A sketch that ends below where it began went astray: it says nothing of the hypothesis.
-    racing = [f for f in fits if not floor <= evidence[id(f)] <= top - behind]
+    # A sketch that ends below where it began went astray and says nothing of the hypothesis; but who explains all but
+    # chance has no rival except what predicts the same, which is looked for from there (`kin`).
+    least = floor if not by_chance(ahead) else -np.inf
+    racing = [f for f in fits if not least <= evidence[id(f)] <= top - behind]
     on = [(f.problem, f.point) for f in racing]
     further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
     better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None}
@@ -155,7 +167,7 @@ def race(base: Fit, points: Sequence[tuple[Problem, Point]], most: int | None = 
         rival = best.get(f.problem.effects)
         if allowed(f, first) and (rival is None or log_evidence(f, share) > log_evidence(rival, share)):
             best[f.problem.effects] = f
-    return _settled(list(best.values()), share, first)
+    return list(best.values()) if by_chance(ahead) else _settled(list(best.values()), share, first)
 
 
 def _settled(fits: Sequence[Fit], share: float, first: int) -> list[Fit]:

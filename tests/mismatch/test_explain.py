@@ -55,7 +55,7 @@ def test_a_later_effect_that_makes_the_first_needless_has_a_slot_of_its_own(drag
     truth, wrong = (place(drag.problem, n, "slide", SMALL) for n in ("quadratic_damping", "viscous_damping"))
     real, calls = looks.look, []
 
-    def blinded(base, pool, progress):
+    def blinded(base, pool, progress, present=None):
         calls.append(base)
         if len(calls) > 1:
             return real(base, pool, progress)
@@ -80,7 +80,7 @@ def test_under_a_misfit_beyond_the_noise_other_recordings_decide(drag, monkeypat
         of = dict(zip(map(id, (wrong, less_wrong, base)), scores, strict=True))
         monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
         search = looks.Looks(lambda *_: None)
-        assert module._better(slot, 10.0, base, search) is chosen and search.others_chose
+        assert module._better(slot, [], 10.0, base, search) is chosen and search.others_chose
 
 
 def test_more_pairs_are_tried_before_a_misfit_is_called_unexplained(drag, monkeypatch):
@@ -95,7 +95,7 @@ def test_more_pairs_are_tried_before_a_misfit_is_called_unexplained(drag, monkey
 
     monkeypatch.setattr(looks, "refine_pairs", refine_pairs)
     monkeypatch.setattr(module, "untold", lambda f: 1.0 if f is pair else 9.0)
-    assert module._better(Slot(base, (), ()), 10.0, base, looks.Looks(lambda *_: None)) is pair
+    assert module._better(Slot(base, (), ()), [], 10.0, base, looks.Looks(lambda *_: None)) is pair
     assert asked == [module.NUM_PAIRS, module.NUM_WIDE]
 
 
@@ -154,7 +154,7 @@ def test_a_single_recording_has_no_others_to_ask(drag, monkeypatch):
     assert module._rivals(own, (rival, own)) == (rival, own)
     assert module._without_useless(drag, own.fit, {}) == (own.fit, {}, set())
     monkeypatch.setattr(looks, "refine_pairs", lambda *_: [])
-    assert module._better(Slot(drag, (), (rival, own)), 10.0, drag, NO_LOOKS) is rival.fit
+    assert module._better(Slot(drag, (), (rival, own)), [], 10.0, drag, NO_LOOKS) is rival.fit
 
 
 def test_a_rival_that_tells_other_recordings_about_as_well_stays(drag, monkeypatch):
