@@ -3,12 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 from scipy.stats import norm
 
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_told
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.priors import Prior
+from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Parameter
 
@@ -22,7 +24,7 @@ def resolved(fit: Fit) -> Fit | None:
 
     None where no prior is in doubt, or where something else is missing, too.
     """
-    if not _strained(fit) or fit.problem.unknowns.varying:
+    if not strained(fit.problem, fit.point.z) or fit.problem.unknowns.varying:
         return None
     simulator = fit.problem.simulator
     parameters = tuple(_widened(p) for p in simulator.parameters)
@@ -34,7 +36,11 @@ def resolved(fit: Fit) -> Fit | None:
 def needless(after: Fit, declared: Fit) -> bool:
     """Whether effects tell the recordings as well under the declared priors, none of which is in doubt beside them."""
     found = _refitted(after, declared.problem.simulator, 1.0)
-    return found is not None and not _strained(found) and bool(log_told(found) > log_told(after) - AS_WELL)
+    return (
+        found is not None
+        and not strained(found.problem, found.point.z)
+        and bool(log_told(found) > log_told(after) - AS_WELL)
+    )
 
 
 def _refitted(fit: Fit, simulator: Simulator, farthest: float) -> Fit | None:
@@ -46,9 +52,9 @@ def _refitted(fit: Fit, simulator: Simulator, farthest: float) -> Fit | None:
     return fit_many([(problem, Point(z, fit.point.start))], max_iterations=20)[0]
 
 
-def _strained(fit: Fit) -> bool:
-    """Whether some psi lies far out in its prior."""
-    return any(abs(fit.point.z[b.begin]) > TENSION for b in fit.problem.unknowns.blocks)
+def strained(problem: Problem, z: Float[np.ndarray, " size"]) -> list[str]:
+    """Names of psi that lie far out in their priors."""
+    return [b.parameter.name for b in problem.unknowns.blocks if abs(z[b.begin]) > TENSION]
 
 
 def _widened(parameter: Parameter) -> Parameter:

@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 from conftest import make_study
 
+from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.judge import judged
 from det2stoc_bayes.mismatch.contact.run import touches
 from det2stoc_bayes.mismatch.contact.scales import DEGREES, certainty, scales_of, scatter
-from det2stoc_bayes.mismatch.contact.search import Pair, settled
+from det2stoc_bayes.mismatch.contact.search import Pair, Round, settled
 from det2stoc_bayes.mismatch.contact.window_fit import at, bounded, steady
+from det2stoc_bayes.mismatch.contact.window_starts import smoothed
 from det2stoc_bayes.mismatch.contact.windows import FARTHEST, make_windows
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
@@ -123,3 +125,23 @@ def test_windows_know_their_recordings_and_a_posterior_what_it_took(problem):
     assert said.evaluations == (counter.simulations - begun) // fit.windows.count > 0
     belief = ContactComposer(said, [], 0)._belief(pair)
     assert belief["evaluations"] == said.evaluations
+
+
+@pytest.mark.parametrize(("loc", "verdict"), [(0.37, "mismatch"), (0.25, "inconclusive")])
+def test_an_effect_beside_which_psi_strains_at_its_prior_is_no_sure_name(tmp_path, loc, verdict):
+    """What tells the windows is friction, far out in its prior in one of two; the effect is a passenger."""
+    psi = PSI.replace("loc = 0.3, scale = 0.1", f"loc = {loc}, scale = 0.03")
+    study = make_study(tmp_path / "study", XML.format(0.02), psi, slides())
+    problem = make_problem(Simulator(study, num_threads=1))
+    windows, recordings = make_windows(problem), problem.simulator.study.recordings
+    drag = next(c for c in candidates(problem) if c.effect.name == "linear_drag")
+    low, z = (float(problem.simulator.parameters[0].prior.to_normal(v)) for v in (0.1, TRUTH))
+    with_drag = windows.with_problem(problem.with_effects((drag,)))
+    pairs = []
+    for one, there in ((windows, np.array([low])), (with_drag, np.array([z, 0.01]))):
+        fit, held = (smoothed(one.on(part), there) for part in (recordings[:3], recordings[3:]))
+        pairs.append(Pair(at(fit, there), at(held, there, at(fit, there).scales)))
+    base, more = pairs
+    assert (abs(z) > 3) == (verdict == "inconclusive")
+    said = judged(base, [Round(base, (), (more,), more)], False, 0, more)
+    assert said.verdict == verdict and said.places[0][0].chance == 1.0

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.compose import PACKAGES, UNLIKELY
-from det2stoc_bayes.mismatch.conflict import tail_probability
+from det2stoc_bayes.mismatch.conflict import strained, tail_probability
 from det2stoc_bayes.mismatch.contact.experiment import proposed
 from det2stoc_bayes.mismatch.contact.judge import Class, Verdict, corrected, covariance, log10_bayes, worst_column
 from det2stoc_bayes.mismatch.contact.places import shares
@@ -167,6 +167,12 @@ class ContactComposer:
                 return (
                     f"Something was left out; the nearest in the catalogue ({each[0]}) leaves {said.unexplained:.0%} "
                     "of the error beyond noise and contact unexplained."
+                )
+            strain = strained(said.after.fit.problem, said.after.fit.z)
+            if strain:
+                return (
+                    f"Something was left out; the nearest in the catalogue ({each[0]}) may stand for something else: "
+                    f"{', '.join(strain)} lies far out in its prior beside it."
                 )
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         gone = drop(fit, "it" if len(effects) == 1 else "them")

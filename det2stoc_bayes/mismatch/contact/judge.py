@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.mismatch.conflict import strained
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import Scales, certainty
 from det2stoc_bayes.mismatch.contact.search import Pair, Round, alike, chances
@@ -92,7 +93,9 @@ def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair
     if small:
         out = tuple((r.taken, e) for r, e in zip(taken, explains, strict=True) if r.taken is not None)
         return Verdict("no_mismatch", after=before, places=(), explains=(), negligible=out, **common)
-    sure = all(p[0].chance >= SURE for p in places) and left < MOST_LEFT
+    # An effect beside which psi strains at its prior may stand for another.
+    strain = strained(final.fit.problem, final.fit.z)
+    sure = all(p[0].chance >= SURE for p in places) and left < MOST_LEFT and not strain
     verdict = "mismatch" if sure else "inconclusive"
     return Verdict(verdict, after=final, places=places, explains=explains, **common)
 
