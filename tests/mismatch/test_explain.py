@@ -83,6 +83,20 @@ def test_under_a_misfit_beyond_the_noise_other_recordings_decide(drag, monkeypat
         assert module._better(slot, [], 10.0, base, search) is chosen and search.others_chose
 
 
+def test_two_effects_are_found_one_after_the_other_where_that_leaves_but_chance(tmp_path, monkeypatch):
+    """Without trying pairs, which costs most of a search."""
+
+    def push(model, data):
+        data.qfrc_applied[0] = 0.4 - 0.5 * abs(data.qvel[0]) * data.qvel[0]
+
+    base = fit(spring_problem(tmp_path, push=push, noise=1e-3))
+    pool, search = pool_of(base.problem), looks.Looks(lambda *_: None)
+    monkeypatch.setattr(looks, "refine_pairs", lambda *_: pytest.fail("pairs were tried"))
+    grown, _ = module.grow(search.at(base, pool), pool, 10.0, search)
+    assert {e.effect.name for e in grown.problem.effects} == {"quadratic_damping", "constant_force"}
+    assert by_chance(grown)
+
+
 def test_more_pairs_are_tried_before_a_misfit_is_called_unexplained(drag, monkeypatch):
     noisy = replace(drag.problem, noise=drag.problem.noise / 10)
     base, pair = fit(noisy), fit(noisy.with_effects(pool_of(noisy)[1:3]))

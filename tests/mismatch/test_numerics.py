@@ -83,6 +83,15 @@ def test_a_slight_error_of_integration_does_not_bias(tmp_path):
     assert finer_step(base.problem) == ""
 
 
+def test_what_a_finer_step_will_gain_is_foretold(tmp_path):
+    """To first order, so that rivals which stay far behind are not fitted again."""
+    base = believed(tmp_path, SLIGHTLY_COARSE)
+    _, _, shift = numerics._converged(base, base.problem.simulator.model.opt.timestep)
+    gained = log_evidence(corrected(base)) - log_evidence(base)
+    assert gained > 5
+    assert numerics._promise(base, shift) == pytest.approx(gained, rel=0.05, abs=0.3)
+
+
 def test_a_fine_step_or_a_large_misfit_is_not_corrected(tmp_path):
     good, bad = believed(tmp_path / "good", GOOD), believed(tmp_path / "bad", COARSE)
     assert corrected(good) is good and corrected(bad) is bad

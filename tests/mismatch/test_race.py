@@ -4,8 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import ARM, make_study, model_xml
-from simulated import fit, noise_table, place, pose, recordings
+from simulated import fit, noise_table, place, pose, recordings, spring_problem
 
+from det2stoc_bayes.linearization import start_point
+from det2stoc_bayes.mismatch import race as module
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.race import look
 
@@ -36,3 +38,22 @@ def test_a_payload_beside_an_uncertain_mass(tmp_path):
     values = best.placed.from_normal(best.fit.point.z[1:].tolist())
     assert values["mass"] == pytest.approx(0.1, rel=0.1)
     np.testing.assert_allclose(values["offset"], [0.22, 0.0, -0.08], atol=0.02)
+
+
+def test_beside_what_explains_all_but_chance_who_is_far_behind_is_not_fitted(tmp_path, monkeypatch):
+    def push(model, data):
+        data.qfrc_applied[0] = -0.5 * abs(data.qvel[0]) * data.qvel[0]
+
+    base = fit(spring_problem(tmp_path, push=push, noise=1e-3))
+    typical = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
+    truth, other = (place(base.problem, n, "slide", typical) for n in ("quadratic_damping", "constant_force"))
+    real, fitted = module.fit_many, []
+    monkeypatch.setattr(module, "fit_many", lambda points, **o: fitted.extend(points) or real(points, **o))
+    problem = base.problem.with_effects([other])
+    points = [(problem, start_point(problem, np.append(base.point.z, 0.1)))]
+    module.race(base, points)
+    alone = len(fitted)
+    fitted.clear()
+    present = fit(base.problem.with_effects([truth]))
+    module.race(base, points, present=present)
+    assert alone > 0 and not fitted
