@@ -1,5 +1,7 @@
 """A diagnosis as arrays: the DataTree that becomes fit.nc and feeds the report."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
@@ -44,7 +46,8 @@ def rollouts(
     when: list[Condition],
 ) -> dict[str, xr.Dataset]:
     """One dataset a recording: observed, predicted before and after, whitened residuals, where the condition holds."""
-    columns, noise = fit.problem.segments.columns, fit.problem.noise
+    columns, noise, model = fit.problem.segments.columns, fit.problem.noise, fit.problem.simulator.model
+    actuators = [model.actuator(a).name for a in range(model.nu)]
     out = {}
     for r in recordings:
         observed = np.full((len(r.time), len(columns)), np.nan)
@@ -56,7 +59,7 @@ def rollouts(
         data = {"observed": observed[seen]} | paths
         data |= {f"residual_{k}": (observed[seen] - v) / noise for k, v in paths.items()}
         variables: dict[str, tuple] = {k: (("sample", "channel"), v) for k, v in data.items()}
-        held = _holds(r, when)
+        held = holding(r, when, actuators)
         if held is not None:
             variables["condition"] = (("sample",), held[seen])
         variables["noise_sd"] = (("channel",), noise)
@@ -90,12 +93,11 @@ def _by_recording(segments: Segments, paths: Float[np.ndarray, "segments samples
     return out
 
 
-def _holds(recording: Recording, when: list[Condition]) -> np.ndarray | None:
-    """Where the first condition holds, if its variable was recorded."""
-    for condition in when:
-        if condition.variable in recording.columns:
-            return condition.holds(recording.values[:, recording.columns.index(condition.variable)])
-    return None
+def holding(recording: Recording, when: Sequence[Condition], actuators: Sequence[str]) -> np.ndarray | None:
+    """Where the first condition holds whose variable was recorded or commanded."""
+    known = dict(zip((f"ctrl/{name}" for name in actuators), recording.ctrl.T, strict=True))
+    known |= dict(zip(recording.columns, recording.values.T, strict=True))
+    return next((c.holds(known[c.variable]) for c in when if c.variable in known), None)
 
 
 def screening(slot: Slot, probability: dict[str, float]) -> xr.Dataset:
