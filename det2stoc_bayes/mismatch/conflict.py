@@ -53,7 +53,7 @@ def _refitted(fit: Fit, simulator: Simulator, farthest: float) -> Fit | None:
 
 
 def strained(problem: Problem, z: Float[np.ndarray, " size"]) -> list[str]:
-    """Names of psi that lie far out in their priors."""
+    """Names of psi that lie far out in their priors, of one that varies its population's mean."""
     return [b.parameter.name for b in problem.unknowns.blocks if abs(z[b.begin]) > TENSION]
 
 

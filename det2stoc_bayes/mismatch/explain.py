@@ -9,6 +9,7 @@ from det2stoc_bayes.mismatch.crossed import others_exist, untold
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence, log_told
 from det2stoc_bayes.mismatch.kin import truer_pair, with_kin
+from det2stoc_bayes.mismatch.leading import leading
 from det2stoc_bayes.mismatch.looks import Looks
 from det2stoc_bayes.mismatch.numerics import comparable
 from det2stoc_bayes.mismatch.race import (
@@ -149,21 +150,13 @@ def grow(first: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks)
 def _better(slot: Slot, pool: Sequence[PlacedEffect], needed: float, believed: Fit, looks: Looks) -> Fit | None:
     """The next step; None where nothing earns its place. More pairs are tried before a misfit is called unexplained."""
     base = slot.base
-    if (first := _leading(slot, pool, needed, looks)) is not None:
-        return first
+    room = len(base.problem.effects) + 2 <= MAX_EFFECTS
+    if room and (lead := leading(slot, pool, needed, looks)) is not None:
+        return lead
     found = _best_of(slot, needed, believed, looks, NUM_PAIRS)
     if found is None and not base.problem.effects and base.noise_inflation >= MODEL_ERROR:
         return _best_of(slot, needed, believed, looks, NUM_WIDE)
     return found
-
-
-def _leading(slot: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks) -> Fit | None:
-    """The best addition, where a second one beside it leaves but chance: one after the other is found soonest."""
-    best = slot.ranked[0] if slot.ranked else None
-    if best is None or best.gain < needed or len(slot.base.problem.effects) + 2 > MAX_EFFECTS or by_chance(best.fit):
-        return None
-    second = looks.at(looks.extended(best.fit), pool)
-    return best.fit if any(r.gain >= needed and by_chance(r.fit) for r in second.ranked) else None
 
 
 def _best_of(slot: Slot, needed: float, believed: Fit, looks: Looks, num_pairs: int) -> Fit | None:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.changes import changes
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence
+from det2stoc_bayes.mismatch.evidence import by_chance, effective_share, log_evidence
 from det2stoc_bayes.mismatch.put_back import put_back
 from det2stoc_bayes.mismatch.race import Ranked, Slot, added, allowed, gain, tolerance
 from det2stoc_bayes.mismatch.screen import Beside, Screened, one_sided
@@ -24,7 +24,7 @@ KIN = 0.98  # share of an effect's squared response that a rival's columns take 
 AKIN = 0.9  # that is enough where the effect leaves more than chance
 RELATED = 0.7  # and beside other effects: without this one they may be anywhere, as may rivals that start from there
 MOST = 4  # rivals that start anew
-SOON = 2  # iterations
+SOON, NEAR = 2, 4.0  # iterations, and the noise inflation that must be reached by then
 MOST_SIMPLER = 12  # that are looked at
 
 
@@ -48,12 +48,12 @@ def with_kin(slot: Slot, own: Ranked) -> Slot:
 
 def _fitted(starts: Sequence[tuple[Problem, Point]], own: Ranked) -> list[Fit]:
     """Fits from there; beside one that leaves but chance, what soon does not come near the noise is no kin."""
-    least = tolerance(own.fit)
+    ends = tolerance(own.fit)
     if not by_chance(own.fit):
-        return [f for f in fit_many(starts, tolerance=least) if f is not None]
-    first = [f for f in fit_many(starts, max_iterations=SOON, tolerance=least) if f is not None]
-    on = [f for f in first if f.end == "unfinished" and f.noise_inflation < MODEL_ERROR]
-    further = fit_many([(f.problem, f.point) for f in on], tolerance=least) if on else []
+        return [f for f in fit_many(starts, tolerance=ends) if f is not None]
+    first = [f for f in fit_many(starts, max_iterations=SOON, tolerance=ends) if f is not None]
+    on = [f for f in first if f.end == "unfinished" and f.noise_inflation < NEAR]
+    further = fit_many([(f.problem, f.point) for f in on], tolerance=ends) if on else []
     better = {id(f): g for f, g in zip(on, further, strict=True) if g is not None}
     return [better.get(id(f), f) for f in first]
 

@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.horizon import extend
+from det2stoc_bayes.mismatch.pairs import pairs
 from det2stoc_bayes.mismatch.race import Progress, Slot, look, look_again, refine_pairs
 from det2stoc_bayes.mismatch.screen import Screened
 from det2stoc_bayes.optimize import Fit
 
-type Hypothesis = tuple[frozenset[PlacedEffect], tuple[int, int]]
+NUM_TRUER = 2  # pairs that are fitted beside one that leaves but chance
+type Hypothesis = tuple[frozenset[PlacedEffect], tuple[int, int], bytes]  # effects, and segments
 
 
 class Looks:
@@ -19,25 +21,26 @@ class Looks:
         self.others_chose = False  # recordings that were not fitted decided between additions
         self._slots: dict[Hypothesis, tuple[frozenset[PlacedEffect], Slot]] = {}
         self._pairs: dict[Hypothesis, dict[frozenset[PlacedEffect], Fit | None]] = {}
-        self._extended: dict[Hypothesis, Fit] = {}
+        self._extended: dict[int, tuple[Fit, Fit]] = {}
 
     def at(self, base: Fit, pool: Sequence[PlacedEffect], present: Fit | None = None) -> Slot:
         """Candidates of the pool beside a fit; of a pool that has grown since, beside the fit anew.
 
-        Where they are to take the place of one `present`, only those that may are refined.
+        Where they are to take the place of one `present`, only those that may are refined; such a look is not kept.
         """
         seen, known = self._slots.get(_key(base), (frozenset(), None))
         if known is not None and seen.issuperset(pool):
             return look_again(known, pool, self.progress, present)
         slot = look(base, pool, self.progress, present)
-        self._slots[_key(base)] = frozenset(pool), slot
+        if present is None:
+            self._slots[_key(base)] = frozenset(pool), slot
         return slot
 
     def extended(self, fit: Fit) -> Fit:
         """The same hypothesis at a longer horizon, where one has become possible."""
-        if _key(fit) not in self._extended:
-            self._extended[_key(fit)] = extend(fit)
-        return self._extended[_key(fit)]
+        if id(fit) not in self._extended:
+            self._extended[id(fit)] = fit, extend(fit)
+        return self._extended[id(fit)][1]
 
     def know(self, slot: Slot, pool: Sequence[PlacedEffect]) -> None:
         """Takes over what was seen before of a pool beside the slot's fit."""
@@ -47,6 +50,13 @@ class Looks:
         """Fits with two additions at once, best first, of at most `most`; those that lost before do not run again."""
         return refine_pairs(base, screened, least, self._pairs.setdefault(_key(base), {}), most)
 
+    def truer_pairs(self, base: Fit, screened: Sequence[Screened], found: Fit, more: float) -> list[Fit]:
+        """The few pairs fitted that screening says to tell clearly more than the last two effects found, best first."""
+        own = frozenset(found.problem.effects[-2:])
+        promised = max((p.log_evidence for p in pairs(base, screened) if p.key == own), default=0.0)
+        return self.pairs(base, screened, promised + more, NUM_TRUER)
+
 
 def _key(fit: Fit) -> Hypothesis:
-    return frozenset(fit.problem.effects), fit.problem.segments.extent
+    segments = fit.problem.segments
+    return frozenset(fit.problem.effects), segments.extent, segments.recording.tobytes() + segments.first.tobytes()

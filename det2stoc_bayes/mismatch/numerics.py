@@ -51,7 +51,7 @@ def corrected(fit: Fit) -> Fit:
 def comparable(fits: Sequence[Fit]) -> list[Fit]:
     """Rival fits, the best and those near it without the believed timestep's error if the best is better for it.
 
-    All of them or none: an error of integration may be what favours one of two that hardly differ.
+    All that may be best then or none: an error of integration may be what favours one of two that hardly differ.
     """
     evidence = np.array([log_evidence(f) for f in fits])
     best = fits[int(evidence.argmax())]
@@ -116,8 +116,9 @@ def _change(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
 
 def _promise(fit: Fit, shift: Float[np.ndarray, "segments samples columns"]) -> float:
     """What a shift of the prediction gains in log likelihood to first order, nats."""
-    lin = fit.linear
-    moved = lin.latent.project(lin.latent.stack(shift.reshape(len(shift), -1, 1)))[..., 0]
+    lin, here = fit.linear, _predicted(fit)
+    change = fit.problem.residuals(here) - fit.problem.residuals(here + shift)
+    moved = lin.latent.project(lin.latent.stack(change[..., None]))[..., 0]
     r = lin.latent.project(lin.stacked)[..., 0]
     chi2 = fit.chi2 + _unabsorbed(fit, r - moved) - _unabsorbed(fit, r)
     n = lin.degrees_of_freedom

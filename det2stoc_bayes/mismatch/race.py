@@ -21,6 +21,7 @@ PROMISING = 0.3  # of the best screened evidence: what earns less is not refined
 RACE = (10.0, 0.3, 50.0)  # how far behind the best sketch a candidate may be: nats, share of the gain, at most
 NUM_LEADERS, MOST_ITERATIONS = 2, 15  # that go on to their optimum while a misfit remains
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
+FURTHER, SOON = 5, 2  # iterations of those in the race, and of who went astray where all but chance is explained
 AT_WALL = 1e-6  # prior sds from where a positive parameter is absent
 SETTLED = 0.3  # nats that a further iteration may gain
 Progress = Callable[[str, int, int], None]  # stage, done, total
@@ -139,7 +140,8 @@ def race(
 ) -> list[Fit]:
     """Fits of several hypotheses; after a sketch of each only those (at most `most`) still in the race go on.
 
-    A hypothesis may start from several points: its best fit is returned. Who is behind the one `present` is out, too.
+    A hypothesis may start from several points: its best fit is returned. A rival's fit `present` that leaves but
+    chance runs, too.
 
     Positive parameters that end where the effect is absent drop their hypothesis.
     """
@@ -149,25 +151,35 @@ def race(
     fits = [f for f in sketch(base, points, tolerance=tolerance(base)) if f is not None]
     if not fits:
         return []
-    ahead = min(fits if present is None else [*fits, present], key=lambda f: f.chi2)
+    known = [present] if present is not None and by_chance(present) and _same_segments(present, base) else []
+    ahead = min([*known, *(f for f in fits if allowed(f, first))] or fits, key=lambda f: f.chi2)
     share = effective_share(ahead)
     evidence, floor = {id(f): log_evidence(f, share) for f in fits}, log_evidence(base, share)
     top = max(*evidence.values(), log_evidence(ahead, share))
-    behind = np.clip(RACE[1] * (top - floor), RACE[0], RACE[2])
+    explained = by_chance(ahead)
+    behind = RACE[2] if explained else np.clip(RACE[1] * (top - floor), RACE[0], RACE[2])
     fits = sorted(fits, key=lambda f: -evidence[id(f)])[:most]
-    # A sketch that ends below where it began went astray and says nothing of the hypothesis; but who explains all but
-    # chance has no rival except what predicts the same, which is looked for from there (`kin`).
-    least = floor if not by_chance(ahead) else -np.inf
-    racing = [f for f in fits if not least <= evidence[id(f)] <= top - behind]
-    on = [(f.problem, f.point) for f in racing]
-    further = fit_many(on, max_iterations=5, tolerance=SETTLED / share) if racing else []
-    better = {id(f): g for f, g in zip(racing, further, strict=True) if g is not None}
+    # A sketch that ends below where it began went astray: it says nothing of the hypothesis. Beside who explains all
+    # but chance it is given a little time; what predicts the same is looked for from there, too (`kin`).
+    racing = [f for f in fits if evidence[id(f)] > top - behind]
+    astray = [f for f in fits if evidence[id(f)] < floor and f not in racing]
+    better: dict[int, Fit] = {}
+    for some, most_iterations in ((racing, FURTHER), (astray, SOON if explained else FURTHER)):
+        on = [(f.problem, f.point) for f in some]
+        found = fit_many(on, max_iterations=most_iterations, tolerance=SETTLED / share) if some else []
+        better |= {id(f): g for f, g in zip(some, found, strict=True) if g is not None}
     best: dict[tuple[PlacedEffect, ...], Fit] = {}
     for f in (better.get(id(f), f) for f in fits):
         rival = best.get(f.problem.effects)
         if allowed(f, first) and (rival is None or log_evidence(f, share) > log_evidence(rival, share)):
             best[f.problem.effects] = f
-    return list(best.values()) if by_chance(ahead) else _settled(list(best.values()), share, first)
+    return list(best.values()) if explained else _settled(list(best.values()), share, first)
+
+
+def _same_segments(fit: Fit, other: Fit) -> bool:
+    """Whether two hypotheses are about the same samples."""
+    a, b = fit.problem.segments, other.problem.segments
+    return a.extent == b.extent and np.array_equal(a.recording, b.recording) and np.array_equal(a.first, b.first)
 
 
 def _settled(fits: Sequence[Fit], share: float, first: int) -> list[Fit]:

@@ -91,10 +91,12 @@ def test_two_effects_are_found_one_after_the_other_where_that_leaves_but_chance(
 
     base = fit(spring_problem(tmp_path, push=push, noise=1e-3))
     pool, search = pool_of(base.problem), looks.Looks(lambda *_: None)
-    monkeypatch.setattr(looks, "refine_pairs", lambda *_: pytest.fail("pairs were tried"))
+    asked = []
+    monkeypatch.setattr(looks, "refine_pairs", lambda *given: asked.append(given[-1]) or [])
     grown, _ = module.grow(search.at(base, pool), pool, 10.0, search)
     assert {e.effect.name for e in grown.problem.effects} == {"quadratic_damping", "constant_force"}
     assert by_chance(grown)
+    assert set(asked) <= {looks.NUM_TRUER}  # those alone that may be what the two look like
 
 
 def test_more_pairs_are_tried_before_a_misfit_is_called_unexplained(drag, monkeypatch):

@@ -171,8 +171,8 @@ class ContactComposer:
             strain = strained(said.after.fit.problem, said.after.fit.z)
             if strain:
                 return (
-                    f"Something was left out; the nearest in the catalogue ({each[0]}) may stand for something else: "
-                    f"{', '.join(strain)} lies far out in its prior beside it."
+                    f"Something was left out; the nearest in the catalogue ({', '.join(each)}) may stand for something "
+                    f"else: {', '.join(strain)} lies far out in its prior beside it."
                 )
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         gone = drop(fit, "it" if len(effects) == 1 else "them")
