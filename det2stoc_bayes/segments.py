@@ -66,6 +66,11 @@ class Segments:
         """Samples of the longest segment, and the number of segments: two cuts of the same recordings differ in it."""
         return self.time.shape[1], self.count
 
+    @property
+    def key(self) -> tuple[tuple[int, int], bytes]:
+        """The same for segments of the same samples."""
+        return self.extent, self.recording.tobytes() + self.first.tobytes()
+
     def only(self, rows: Int[np.ndarray, " rows"]) -> "Segments":
         """Some of the segments; all recordings stay."""
         longest = int(self.lengths[rows].max())

@@ -10,7 +10,7 @@ from det2stoc_bayes.mismatch.screen import Screened
 from det2stoc_bayes.optimize import Fit
 
 NUM_TRUER = 2  # pairs that are fitted beside one that leaves but chance
-type Hypothesis = tuple[frozenset[PlacedEffect], tuple[int, int], bytes]  # effects, and segments
+type Hypothesis = tuple[frozenset[PlacedEffect], tuple[tuple[int, int], bytes]]  # effects, and segments
 
 
 class Looks:
@@ -58,5 +58,4 @@ class Looks:
 
 
 def _key(fit: Fit) -> Hypothesis:
-    segments = fit.problem.segments
-    return frozenset(fit.problem.effects), segments.extent, segments.recording.tobytes() + segments.first.tobytes()
+    return frozenset(fit.problem.effects), fit.problem.segments.key

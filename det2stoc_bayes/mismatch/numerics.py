@@ -109,21 +109,23 @@ def _change(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
     """Whitened squared change of the prediction that neither psi nor the starts can absorb; 0 where one diverges."""
     if not (np.isfinite(here).all() and np.isfinite(there).all()):
         return 0.0
-    lin = fit.linear
-    difference = fit.problem.residuals(here) - fit.problem.residuals(there)
-    return _unabsorbed(fit, lin.latent.project(lin.latent.stack(difference[..., None]))[..., 0])
+    return _unabsorbed(fit, _difference(fit, here, there))
 
 
 def _promise(fit: Fit, shift: Float[np.ndarray, "segments samples columns"]) -> float:
     """What a shift of the prediction gains in log likelihood to first order, nats."""
     lin, here = fit.linear, _predicted(fit)
-    change = fit.problem.residuals(here) - fit.problem.residuals(here + shift)
-    moved = lin.latent.project(lin.latent.stack(change[..., None]))[..., 0]
     r = lin.latent.project(lin.stacked)[..., 0]
-    chi2 = fit.chi2 + _unabsorbed(fit, r - moved) - _unabsorbed(fit, r)
+    chi2 = fit.chi2 + _unabsorbed(fit, r - _difference(fit, here, here + shift)) - _unabsorbed(fit, r)
     n = lin.degrees_of_freedom
     told = [-profile(x, max(1.0, x / fit.problem.measurement.mean_square / n), n) for x in (fit.chi2, max(chi2, 0.0))]
     return told[1] - told[0]
+
+
+def _difference(fit: Fit, here: np.ndarray, there: np.ndarray) -> Float[np.ndarray, "segments stacked"]:
+    """What no initial state takes up of the whitened residuals' difference between two predictions."""
+    difference = fit.problem.residuals(here) - fit.problem.residuals(there)
+    return fit.linear.latent.project(fit.linear.latent.stack(difference[..., None]))[..., 0]
 
 
 def _unabsorbed(fit: Fit, x: Float[np.ndarray, "segments stacked"]) -> float:

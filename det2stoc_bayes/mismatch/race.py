@@ -151,7 +151,8 @@ def race(
     fits = [f for f in sketch(base, points, tolerance=tolerance(base)) if f is not None]
     if not fits:
         return []
-    known = [present] if present is not None and by_chance(present) and _same_segments(present, base) else []
+    here = present is not None and present.problem.segments.key == base.problem.segments.key
+    known = [present] if present is not None and here and by_chance(present) else []
     ahead = min([*known, *(f for f in fits if allowed(f, first))] or fits, key=lambda f: f.chi2)
     share = effective_share(ahead)
     evidence, floor = {id(f): log_evidence(f, share) for f in fits}, log_evidence(base, share)
@@ -174,12 +175,6 @@ def race(
         if allowed(f, first) and (rival is None or log_evidence(f, share) > log_evidence(rival, share)):
             best[f.problem.effects] = f
     return list(best.values()) if explained else _settled(list(best.values()), share, first)
-
-
-def _same_segments(fit: Fit, other: Fit) -> bool:
-    """Whether two hypotheses are about the same samples."""
-    a, b = fit.problem.segments, other.problem.segments
-    return a.extent == b.extent and np.array_equal(a.recording, b.recording) and np.array_equal(a.first, b.first)
 
 
 def _settled(fits: Sequence[Fit], share: float, first: int) -> list[Fit]:
