@@ -45,6 +45,7 @@ class Magnitudes:
         for k in range(steps):
             data.ctrl[:] = command[k]
             mujoco.mj_step(model, data)
+            mujoco.mj_rnePostConstraint(model, data)  # or there are no accelerations of bodies
             if not np.isfinite(data.qvel).all() or np.abs(data.qvel).max(initial=0) > 1e6:
                 return
             mujoco.mj_fullM(model, data, full)
@@ -104,7 +105,7 @@ class Magnitudes:
         mass = max(float(self.model.body_mass[b]), 1e-9)
         gravity = float(np.linalg.norm(self.model.opt.gravity))
         return {
-            "force": max(self._rms("body_force", b), 0.1 * mass * max(gravity, 1.0)),
+            "force": max(self._rms("body_force", b), mass * max(gravity, 1.0)),
             "speed": max(self._rms("body_speed", b), 1e-2),
             "spin": max(self._rms("body_spin", b), 1e-1),
             "span": max(float(np.sqrt(self.model.body_inertia[b].sum() / (2 * mass))), 1e-3),

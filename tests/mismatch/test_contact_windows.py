@@ -1,61 +1,22 @@
 """Short windows of a sliding puck: scales, unknowns that are found again, and what is screened beside them."""
 
-import mujoco
 import numpy as np
 import pytest
 from conftest import make_study
+from sliding import PSI, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.judge import judged
+from det2stoc_bayes.mismatch.contact.pair import Pair, settled
 from det2stoc_bayes.mismatch.contact.run import touches
 from det2stoc_bayes.mismatch.contact.scales import DEGREES, certainty, scales_of, scatter
-from det2stoc_bayes.mismatch.contact.search import Pair, Round, settled
-from det2stoc_bayes.mismatch.contact.window_fit import at, bounded, steady
+from det2stoc_bayes.mismatch.contact.search import Round
+from det2stoc_bayes.mismatch.contact.window_fit import at, steady
 from det2stoc_bayes.mismatch.contact.window_starts import smoothed
 from det2stoc_bayes.mismatch.contact.windows import FARTHEST, make_windows
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
-
-XML = """<mujoco>
-  <option timestep="0.005" integrator="implicitfast" cone="elliptic"/>
-  <worldbody>
-    <geom name="table" type="plane" size="5 5 0.1" friction="0.3 0.005 0.0001"/>
-    <body name="puck" pos="0 0 {}">
-      <freejoint name="glide"/>
-      <geom name="disc" type="cylinder" size="0.05 0.02" mass="0.2" friction="0.3 0.005 0.0001"/>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-PSI = """[psi.friction]
-target = "geom/*/friction"
-index = [0]
-prior = { TruncatedNormal = { loc = 0.3, scale = 0.1, low = 0.05, high = 0.6 } }
-[noise]
-"qpos/*" = 5e-4
-"qvel/*" = 1e-2
-"""
-TRUTH = 0.37
-NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz"), ("vx", "vy", "vz", "wx", "wy", "wz")
-
-
-def slides(height=0.02, count=4):
-    """Recordings of a puck that is pushed, with noise."""
-    model = mujoco.MjModel.from_xml_string(XML.format(height))
-    model.geom_friction[:, 0] = TRUTH
-    random, time, out = np.random.default_rng(1), np.arange(31) * 0.01, {}
-    for k in range(count):
-        data = mujoco.MjData(model)
-        data.qvel[:2] = 1.2, 0.3 * k
-        rows = []
-        for _ in time:
-            rows.append(np.concatenate([data.qpos, data.qvel]))
-            mujoco.mj_step(model, data, 2)
-        values = np.array(rows) + np.repeat([5e-4, 1e-2], [7, 6]) * random.standard_normal((len(time), 13))
-        names = [f"qpos/glide/{n}" for n in NAMES[0]] + [f"qvel/glide/{n}" for n in NAMES[1]]
-        out[f"r{k}"] = (time, dict(zip(names, values.T, strict=True)))
-    return out
 
 
 @pytest.fixture(scope="module")
@@ -88,13 +49,17 @@ def test_scatter_counts_what_neighbours_share():
     assert abs(certainty(random.standard_normal(3000), recording)) < 4
 
 
-def test_slopes_that_disagree_are_chaos_and_few_windows_do_not_rule():
+def test_slopes_that_disagree_are_chaos():
     up, down = np.array([1.0, 1.0, 50.0]), np.array([1.0, 0.98, -40.0])
     np.testing.assert_allclose(steady(up, down), [1.0, 0.99, 0.0], atol=0.05)
-    columns = np.ones((100, 1, 1, 1))
-    columns[3] = 1000.0
-    weight = bounded(columns)
-    assert weight[3, 0, 0] == pytest.approx(0.003) and (np.delete(weight, 3, 0) == 1).all()
+
+
+def test_scales_where_nothing_is_heard_are_infinite_and_weigh_nothing():
+    errors = np.random.default_rng(0).standard_normal((50, 2, 2))
+    errors[:, 0, 1] = np.nan
+    scales = scales_of(errors)
+    assert np.isinf(scales.values[0, 1]) and np.isfinite(np.delete(scales.values, 1)).all()
+    assert np.isfinite(scales.losses(errors)).all() and (scales.weights(errors)[:, 0, 1] == 0).all()
 
 
 def test_only_what_touches_is_a_study_with_contact(problem, tmp_path):

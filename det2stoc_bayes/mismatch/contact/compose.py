@@ -11,10 +11,10 @@ from det2stoc_bayes.mismatch.compose import PACKAGES, UNLIKELY
 from det2stoc_bayes.mismatch.conflict import strained, tail_probability
 from det2stoc_bayes.mismatch.contact.experiment import proposed
 from det2stoc_bayes.mismatch.contact.judge import Class, Verdict, corrected, covariance, log10_bayes, worst_column
+from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.places import shares
-from det2stoc_bayes.mismatch.contact.search import Pair
 from det2stoc_bayes.mismatch.contact.window_fit import WindowFit
-from det2stoc_bayes.mismatch.contact.window_starts import LOOKED_AT
+from det2stoc_bayes.mismatch.contact.window_starts import LOOKED_AT, smoothed
 from det2stoc_bayes.mismatch.contact.windows import STRIDE
 from det2stoc_bayes.mismatch.replay import replay
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element
@@ -246,7 +246,7 @@ def _alternative(c: Class) -> finding.Alternative:
 def _rmse(pair: Pair) -> Float[np.ndarray, " columns"]:
     """Of held-out windows beyond the samples that their starts are estimated from; of fitted ones if none is held."""
     fit = pair.held if pair.held.windows.count else pair.fit
-    problem = fit.problem
+    problem = smoothed(fit.windows.fine(), fit.z).problem
     segments = problem.segments
     predicted = problem.simulator.rollout(problem.request(fit.z[None], problem.guess.start))
     error = problem.residuals(predicted).reshape(segments.values.shape)[:, LOOKED_AT:]

@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.conflict import strained
+from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import Scales, certainty
-from det2stoc_bayes.mismatch.contact.search import Pair, Round, alike, chances
+from det2stoc_bayes.mismatch.contact.search import Round, alike, chances
 from det2stoc_bayes.mismatch.contact.window_fit import WindowFit, fit_windows
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
@@ -129,9 +130,10 @@ def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
 def worst_column(verdict: Verdict) -> tuple[str, float]:
     """The column whose error most exceeds what the model itself would leave, and by how many times in variance."""
     final = verdict.shown.fit
-    ratio = np.log((final.scales.values / verdict.reference.values) ** 2)
-    by_column = np.exp(np.nanmean(np.where(np.isfinite(ratio), ratio, np.nan), axis=0))
-    j = int(np.nanargmax(by_column))
+    told = np.isfinite(final.scales.values) & np.isfinite(verdict.reference.values)
+    ratio = 2 * np.log(np.where(told, final.scales.values, 1.0) / np.where(told, verdict.reference.values, 1.0))
+    by_column = np.exp(ratio.sum(0) / np.maximum(told.sum(0), 1))
+    j = int(np.where(told.any(0), by_column, 0.0).argmax())
     return final.problem.segments.columns[j], float(by_column[j])
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from det2stoc_bayes.engines import contacts
-from det2stoc_bayes.mismatch.contact.search import Pair
+from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.windows import Windows
 from det2stoc_bayes.mismatch.effects import Element
 from det2stoc_bayes.mismatch.where import LEAST_CONTRAST, LEAST_SHARE, QUANTILES, Condition

@@ -1,5 +1,7 @@
 """The diagnosis of a study in which bodies touch."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from det2stoc_bayes.engines.contacts import share_in_contact
@@ -7,20 +9,17 @@ from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.judge import Verdict, judged
-from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
-from det2stoc_bayes.mismatch.contact.search import (
-    MAX_EFFECTS,
-    MOST_ROUNDS,
+from det2stoc_bayes.mismatch.contact.pair import (
     Pair,
-    Progress,
-    Round,
     converged,
+    exchanged_pairs,
     held_out,
-    look,
-    resettled,
     settled,
     shifted,
 )
+from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
+from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
+from det2stoc_bayes.mismatch.contact.telling import telling
 from det2stoc_bayes.mismatch.contact.window_fit import WindowFit
 from det2stoc_bayes.mismatch.contact.window_starts import smoothed
 from det2stoc_bayes.mismatch.contact.windows import make_windows
@@ -47,12 +46,14 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     pool = [] if alone else candidates(before.fit.problem, elements_of(before.fit.windows, before.fit.z))
     base, rounds = before, []
     while len(rounds) < MAX_EFFECTS:
-        one = look(base, pool, progress) if pool else Round(base, (), (), None)
+        one = look(base, pool, progress, seed) if pool else Round(base, (), (), None)
         rounds.append(one)
         if one.taken is None:
             break
-        base = resettled(one.taken, MOST_ROUNDS)  # as settled as what is held against it next
+        base = one.taken
     progress("scoring held-out recordings", 0, 1)
+    if base is not before:
+        before, base = exchanged_pairs([before, base])
     said = judged(before, rounds, fine, seed, base)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
     progress("scoring held-out recordings", 1, 1)
@@ -70,7 +71,9 @@ def _believed(problem: Problem) -> tuple[Pair, bool]:
     windows = make_windows(problem).on(fitted)
     if not np.isfinite(windows.predicted(np.zeros(windows.problem.size))).any():
         raise SimulationDiverged(f"{study.model_path}: the simulation diverges from every recorded start")
-    fit, fine = converged(settled(windows))
+    fit = settled(windows)
+    windows = replace(windows, heard=telling(fit))
+    fit, fine = converged(settled(windows.with_problem(fit.problem), fit.z))
     timestep, integrator = fit.problem.timestep, fit.problem.integrator
     others = windows.with_problem(fit.problem).on(held if held else fitted[:1])
     start = smoothed(others, fit.problem.carry(fit.z, others.problem))

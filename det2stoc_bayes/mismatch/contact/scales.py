@@ -41,12 +41,13 @@ class Scales:
 def scales_of(errors: Float[np.ndarray, "windows horizons columns"]) -> Scales:
     """The most likely scales of these errors."""
     there = np.isfinite(errors)
-    square, count = np.where(there, errors, 0.0) ** 2, there.sum(0)
+    square, count = np.where(there, errors, 0.0) ** 2, np.maximum(there.sum(0), 1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        s2 = np.maximum(np.nan_to_num(np.nanmedian(np.where(there, errors**2, np.nan), axis=0)), LEAST**2)
+        middle = np.nanmedian(np.where(there | ~there.any(0), square, np.nan), axis=0)
+        s2 = np.maximum(middle, LEAST**2)
         for _ in range(NUM_ROUNDS):
             s2 = np.maximum((there * (DEGREES + 1) * square / (DEGREES + square / s2)).sum(0) / count, LEAST**2)
-    return Scales(np.where(count > 0, np.sqrt(np.nan_to_num(s2, nan=1.0)), np.inf))
+    return Scales(np.where(there.any(0), np.sqrt(np.nan_to_num(s2, nan=1.0)), np.inf))
 
 
 def scatter(values: Float[np.ndarray, "windows k"], recording: Int[np.ndarray, " windows"]) -> Float[np.ndarray, "k k"]:

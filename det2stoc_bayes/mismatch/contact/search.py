@@ -1,58 +1,43 @@
 """Additions to the believed model, judged by windows that were not fitted: what is named must tell those better."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
+from det2stoc_bayes.mismatch.contact.exchange import exchanged
+from det2stoc_bayes.mismatch.contact.pair import (
+    Pair,
+    added,
+    added_fit,
+    exchanged_pairs,
+    resettled,
+    without_last,
+)
+from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise, screen
-from det2stoc_bayes.mismatch.contact.window_fit import WindowFit, at, fit_windows
-from det2stoc_bayes.mismatch.contact.window_starts import smoothed
-from det2stoc_bayes.mismatch.contact.windows import Windows
+from det2stoc_bayes.mismatch.contact.window_fit import fit_windows
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.shortlist import shortlist
 
-NUM_REFINED = 5  # the best candidates, which are fitted
-NUM_SETTLED = 3  # of them, whose starts are estimated anew
-FAR = 2.0  # prior sds
-CHANCE = 0.05  # tail probability beyond which a screened effect is not fitted: fitted gains decide
-LEAST_GAIN = 3.0  # nats, likewise
+NUM_TRIED = 14  # the best candidates, where they would stand,
+NUM_REFINED = 6  # of them, which are fitted
+NUM_SETTLED = 3  # of them, which are fitted to the end
+NEAR, LEAST_NEAR = 0.25, 20.0  # share of the best's gain, and nats, behind which they are not
+LEAST_GAIN = 1.0  # nats below which a screened effect is not fitted
 LEAST_CERTAIN = 3.0  # standard errors of the gain over windows: of those fitted
 HELD_CERTAIN = 2.0  # and of those held out
+FEW = 60.0  # nats: a gain which few windows may have, that by far is not chance's
+HELD_GAIN = 3.0  # nats of it on windows held out
+TIMES = 3.0  # what chance gains at most
+NUM_CHANCES = 3  # data sets that the base itself makes
 MAX_EFFECTS = 2
-ROUNDS = 6  # of estimating starts and unknowns in turn
-MOST_ROUNDS = 20  # of what is taken: its starts were estimated without it, and hold it back
-MOST_FORETOLD, FARTHEST_AHEAD = 0.75, 2.0  # share of the last round's way; prior sds
-SETTLED = 0.3  # sds of the unknowns
-FINER_CERTAIN = 1.5  # standard errors by which a finer integration must tell windows better
+MOST_LEADERS = 2  # whose rivals are looked for where the leader ended
 LEAST_WINDOWS = 8  # that are held out, or nothing is decided by them
 Progress = Callable[[str, int, int], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Pair:
-    """A hypothesis on the windows that are fitted and, at the same unknowns, on those held out."""
-
-    fit: WindowFit
-    held: WindowFit
-
-    @property
-    def placed(self) -> PlacedEffect:
-        """The effect that was added last."""
-        return self.fit.problem.effects[-1]
-
-    @property
-    def owners(self) -> Int[np.ndarray, " windows"]:
-        """A number for the recording of every window, in the order of `losses`; held-out recordings are others."""
-        first = len(self.fit.problem.segments.recordings)
-        return np.concatenate([self.fit.windows.recording, first + self.held.windows.recording])
-
-    @property
-    def losses(self) -> Float[np.ndarray, " windows"]:
-        """-log likelihood of every window, held-out ones last."""
-        return np.concatenate([self.fit.losses, self.held.losses])
+Advance = Callable[[int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,155 +50,113 @@ class Round:
     taken: Pair | None
 
 
-def settled(windows: Windows, z: Float[np.ndarray, " size"] | None = None, rounds: int = ROUNDS) -> WindowFit:
-    """Starts and unknowns in turn, until these hardly move.
+def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int = 0) -> Round:
+    """Screen all, fit the few best, and take the best if windows that were not fitted ask for it.
 
-    Starts that were estimated under other unknowns hold these back, so that each round goes a share of the way that
-    the last one went: the rest of the way is foretold from it (Aitken).
+    A leader's rivals are looked for once more where it ended, for psi and starts there are others.
     """
-    z = np.zeros(windows.problem.size) if z is None else z
-    last = np.zeros(len(z))
-    for k in range(rounds):
-        windows = smoothed(windows.fine(), z)
-        fit = fit_windows(windows, z, iterations=6 if k == 0 else 3)
-        step = fit.z - z
-        if k + 1 == rounds or np.all(np.abs(step) < SETTLED * np.sqrt(np.diag(fit.covariance))):
-            return fit
-        share = np.clip(np.divide(step, last, out=np.zeros(len(z)), where=np.abs(last) > 1e-9), 0.0, MOST_FORETOLD)
-        ahead = np.clip(step * share / (1 - share), -FARTHEST_AHEAD, FARTHEST_AHEAD)
-        z, last = np.maximum(fit.z + ahead, fit.problem.floor), step
-    raise ValueError("rounds: found 0; allowed: 1 or more")
+    others = [p for p in pool if p not in base.fit.problem.effects]
+    screened = screen(base.fit, others, _counted(progress, len(others)))
+    found = refined(base, screened, progress)
+    base, found = leading(base, found)
+    seen: list[PlacedEffect] = []
+    while found and found[0].placed not in seen and len(seen) < MOST_LEADERS and found[0].gain(base) > FEW:
+        seen.append(found[0].placed)
+        there = without_last(found[0])
+        promises = screen(there.fit, [p for p in others if p not in seen], _counted(progress, len(others)))
+        base, found = leading(base, [*found, *refined(there, promises, progress)])
+    rivals = [p.placed for p in found]
+    taken = next((p for p in found[:NUM_SETTLED] if earns(base, p, rivals, seed, progress)), None)
+    if taken is not None:
+        base, found = settled_down(base, found, taken, progress)
+        taken = found[0]
+    return Round(base, tuple(screened), tuple(found), taken)
 
 
-def converged(fit: WindowFit) -> tuple[WindowFit, bool]:
-    """The fit under an integration that converges, where that tells the windows better, and whether it does."""
-    problem = fit.problem
-    step = float(problem.simulator.model.opt.timestep)
-    fine = replace(problem, timestep=step, integrator="RK4", finer=None)
-    other = settled(fit.windows.with_problem(fine), fit.z, 2)
-    bare = at(fit.windows.with_problem(replace(other.problem, timestep=None, integrator=None)), other.z)
-    reference = min((fit, bare), key=lambda f: f.loss)
-    if certainty(reference.losses - other.losses, fit.windows.recording) < FINER_CERTAIN:
-        return fit, False
-    return other, True
+def settled_down(base: Pair, found: Sequence[Pair], taken: Pair, progress: Progress) -> tuple[Pair, list[Pair]]:
+    """What is taken and those near it, fitted to the end, before they are compared; the best of them first."""
+    near = taken.heights.sum() + max(NEAR * taken.gain(base), LEAST_NEAR)
+    rivals = [p for p in found if p.heights.sum() < near][:NUM_SETTLED]
+    rivals = rivals if taken in rivals else [*rivals, taken]
+    done = []
+    for k, rival in enumerate(rivals):
+        progress("settling the best", k, len(rivals))
+        done.append(resettled(rival))
+    progress("settling the best", len(rivals), len(rivals))
+    base, found = leading(base, [*done, *found])
+    first = [p for p in found if p.placed in {r.placed for r in rivals}]
+    return base, [*first, *(p for p in found if p not in first)]
 
 
-def held_out(fit: WindowFit, windows: Windows, own: bool = True) -> WindowFit:
-    """The hypothesis on held-out windows: shared unknowns as fitted, those of single recordings fitted to each."""
-    problem = replace(windows.problem, effects=fit.problem.effects, spreads=fit.problem.spreads)
-    here = windows.with_problem(problem)
-    z = fit.problem.carry(fit.z, problem)
-    owned = set(problem.unknowns.owned.tolist())
-    if owned and own:
-        shared = [i for i in range(problem.size) if i not in owned]
-        z = fit_windows(here, z, held=shared, iterations=3).z
-    return at(here, z, fit.scales)
-
-
-def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress) -> Round:
-    """Screen all, fit the few best, and take the best that windows which were not fitted ask for.
-
-    What is missing may have led psi far from its prior, where small steps do not lead back: then the middle of the
-    prior is a second ground to start from.
-    """
-    other = recentred(base)
-    grounds = [base] if other is None else [base, other]
-    others, done = [p for p in pool if p not in base.fit.problem.effects], [0]
+def _counted(progress: Progress, total: int) -> Advance:
+    done = [0]
 
     def advance(n: int) -> None:
         done[0] += n
-        progress("screening effects", done[0], len(others) * len(grounds))
+        progress("screening effects", done[0], total)
 
-    screened = [screen(g.fit, others, advance) for g in grounds]
-    worth = [
-        shortlist([s for s in found if s.tail < CHANCE and s.gain > LEAST_GAIN], NUM_REFINED // len(grounds))
-        for found in screened
-    ]
-    count, found = sum(len(w) for w in worth), []
-    for ground, promises in zip(grounds, worth, strict=True):
-        here = []
-        for promise in promises:
-            progress("refining the best", len(found) + len(here), count)
-            here.append(added(ground, promise))
-        here.sort(key=lambda p: p.losses.sum())
-        found += [resettled(p) for p in here[:NUM_SETTLED]] + here[NUM_SETTLED:]
-    if count:
-        progress("refining the best", count, count)
-    refined = distinct(sorted(found, key=lambda p: p.losses.sum()))
-    taken = next((p for p in refined[:3] if earns(base, p)), None)
-    return Round(base, tuple(screened[0]), tuple(refined), taken)
+    return advance
 
 
-def recentred(base: Pair) -> Pair | None:
-    """The hypothesis with psi in the middle of its prior, if the fit has led it FAR from there."""
-    problem = base.fit.problem
-    psi = np.arange(problem.size) < problem.num_psi
-    if np.abs(base.fit.z[psi]).max(initial=0.0) < FAR:
-        return None
-    z = np.where(psi, 0.0, base.fit.z)
-    fit, held = (smoothed(one.windows.fine(), problem.carry(z, one.problem)) for one in (base.fit, base.held))
-    there = at(fit, z)
-    other = Pair(there, at(held, problem.carry(z, base.held.problem), there.scales))
-    finer = problem.finer
-    return other if finer is None else shifted(other, finer.timestep, finer.integrator)
+def refined(ground: Pair, screened: Sequence[Promise], progress: Progress) -> list[Pair]:
+    """The best that were screened where they would stand, fitted."""
+    worth = shortlist([s for s in screened if s.gain > LEAST_GAIN], NUM_TRIED)
+    worth.sort(key=lambda s: added_fit(ground.fit, s, iterations=0).loss)
+    here, worth = [], worth[:NUM_REFINED]
+    for promise in worth:
+        progress("refining the best", len(here), len(worth))
+        here.append(added(ground, promise))
+    if worth:
+        progress("refining the best", len(worth), len(worth))
+    return here
 
 
-def distinct(pairs: Sequence[Pair]) -> list[Pair]:
-    """The first of each addition."""
+def leading(base: Pair, found: Sequence[Pair]) -> tuple[Pair, list[Pair]]:
+    """All from the likeliest starts, the base apart; of each addition the best alone, best first."""
+    base, *pairs = exchanged_pairs([base, *found])
     first: dict[PlacedEffect, Pair] = {}
-    for pair in pairs:
+    for pair in sorted(pairs, key=lambda p: p.heights.sum()):
         first.setdefault(pair.placed, pair)
-    return list(first.values())
+    return base, list(first.values())
 
 
-def shifted(pair: Pair, timestep: float, integrator: str) -> Pair:
-    """The same unknowns under the believed integration, whose error there is taken off."""
-    fit = at(pair.fit.windows.shifted(pair.fit.z, timestep, integrator), pair.fit.z)
-    return Pair(fit, at(pair.held.windows.shifted(pair.held.z, timestep, integrator), pair.held.z, fit.scales))
+def earns(base: Pair, more: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress) -> bool:
+    """Whether an addition tells fitted and held-out windows better than chance does.
 
-
-def added(base: Pair, promise: Promise) -> Pair:
-    """The hypothesis with a screened addition, fitted."""
-    problem = base.fit.problem
-    more = problem.with_effects((*problem.effects, promise.placed))
-    z = np.concatenate([base.fit.z + promise.change, _unknowns(promise)])
-    plain = np.concatenate([base.fit.z, z[problem.size :]])
-    half = np.concatenate([base.fit.z + 0.3 * promise.change, 0.3 * z[problem.size :]])
-    z, plain, half = (np.maximum(x, more.floor) for x in (z, plain, half))
-    fit = fit_windows(base.fit.windows.with_problem(more), z, others=[plain, half], iterations=6)
-    return Pair(fit, held_out(fit, base.held.windows))
-
-
-def _unknowns(promise: Promise) -> np.ndarray:
-    z = promise.placed.effect.to_normal(promise.values, promise.placed.typical)
-    return np.clip(np.nan_to_num(z), -4.0, 4.0)
-
-
-def earns(base: Pair, more: Pair) -> bool:
-    """Whether an addition tells fitted and held-out windows better than chance does."""
-    fitted = certainty(base.fit.losses - more.fit.losses, more.fit.windows.recording)
-    if fitted < LEAST_CERTAIN or not (more.fit.z > more.fit.problem.floor + 1e-6).all():
+    Either most windows say so, or few do by far more than the rivals gain on data of the base's own making.
+    """
+    if not (more.fit.z > more.fit.problem.floor + 1e-6).all():
         return False
+    gains = base.heights - more.heights
+    fitted = np.arange(len(gains)) < more.fit.windows.count
+    sure = certainty(gains[fitted], more.owners[fitted])
     if more.held.windows.count < LEAST_WINDOWS:
-        return fitted > LEAST_CERTAIN + HELD_CERTAIN
-    return certainty(base.held.losses - more.held.losses, more.held.windows.recording) > HELD_CERTAIN
+        return sure > LEAST_CERTAIN + HELD_CERTAIN
+    if sure >= LEAST_CERTAIN and certainty(gains[~fitted], more.owners[~fitted]) > HELD_CERTAIN:
+        return True
+    if gains.sum() <= FEW or gains[~fitted].sum() < HELD_GAIN:
+        return False
+    return bool(gains[fitted].sum() > TIMES * gain_by_chance(base, rivals, seed, progress))
 
 
-def resettled(pair: Pair, rounds: int = 2) -> Pair:
-    """With starts estimated under the whole hypothesis, of fitted and held-out windows."""
-    finer = pair.fit.problem.finer
-    fit = settled(pair.fit.windows, pair.fit.z, rounds)
-    problem = replace(pair.held.windows.fine().problem, effects=fit.problem.effects, spreads=fit.problem.spreads)
-    windows = pair.held.windows.with_problem(problem)
-    windows = smoothed(windows, fit.problem.carry(fit.z, problem))
-    found = Pair(fit, held_out(fit, windows))
-    return found if finer is None else shifted(found, finer.timestep, finer.integrator)
+def gain_by_chance(base: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress) -> float:
+    """The most that these gain on fitted windows as the base itself would make them."""
+    best = 0.0
+    for k in range(NUM_CHANCES):
+        progress("measuring chance", k, NUM_CHANCES)
+        windows = replicated(base.fit, np.random.default_rng([seed, 7, k]))
+        fit = fit_windows(windows, base.fit.z, iterations=3)
+        worth = [s for s in screen(fit, rivals) if s.gain > LEAST_GAIN][:NUM_SETTLED]
+        fit, *rest = exchanged([fit, *(added_fit(fit, p) for p in worth)])
+        best = max([best, *(float(fit.heights.sum() - more.heights.sum()) for more in rest)])
+    progress("measuring chance", NUM_CHANCES, NUM_CHANCES)
+    return best
 
 
 def chances(pairs: Sequence[Pair], random: np.random.Generator, count: int = 4000) -> Float[np.ndarray, " pairs"]:
     """Chance of each hypothesis to tell recordings like these best, by the Bayesian bootstrap over recordings."""
     _, groups = np.unique(pairs[0].owners, return_inverse=True)
-    losses = np.stack([np.bincount(groups, p.losses) for p in pairs], 1)
+    losses = np.stack([np.bincount(groups, p.heights) for p in pairs], 1)
     losses = losses + np.array([0.5 * p.placed.size for p in pairs]) / len(losses)
     weights = random.dirichlet(np.ones(len(losses)), count) * len(losses)
     best = (weights @ losses).argmin(1)
@@ -224,5 +167,4 @@ def alike(a: Pair, b: Pair) -> Bool[np.ndarray, ""]:
     """Whether two hypotheses predict the same, within a small part of what they leave."""
     apart = (a.fit.errors - b.fit.errors) / a.fit.scales.values
     near = np.nanmean(np.minimum(apart**2, 9.0)) < 0.05
-    total = a.losses - b.losses
-    return np.asarray(near and abs(certainty(total, a.owners)) < 2.0)
+    return np.asarray(near and abs(certainty(a.heights - b.heights, a.owners)) < 2.0)

@@ -18,26 +18,37 @@ from det2stoc_bayes.mismatch.contact.windows import Windows
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.starts import guess_starts
 
+DEGREES = 3.0
 LOOKED_AT = 6  # samples from the start on
 RATE = 0.5  # noise sds over a sampling interval: sd of a speed that is estimated from positions
 UNSEEN = 0.3  # spreads of what no column shows
-ROUNDS = 2
-SHORTER = (1.0, 0.4)  # of a correction
+ROUNDS = 4
+SHORTER = (1.0, 0.4, 0.1)  # of a correction
 
 
 def smoothed(windows: Windows, z: Float[np.ndarray, " size"]) -> Windows:
     """The same windows with starts that the samples after them have corrected, under these unknowns."""
+    windows = as_recorded(windows)
     problem = windows.problem
-    guess = replace(problem.guess, start=recorded_start(problem))
-    problem = replace(problem, guess=guess)
     n = min(LOOKED_AT, problem.segments.time.shape[1])
     whole = problem.segments
     short = replace(problem, segments=replace(whole, time=whole.time[:, :n], values=whole.values[:, :n]))
-    sd, first, start = start_sd(problem), guess.start, guess.start
+    sd, first, start = start_sd(problem), problem.guess.start, problem.guess.start
     height = None
     for _ in range(ROUNDS):
         start, height = _corrected(short, z, first, start, sd, height)
-    return windows.with_problem(replace(problem, guess=replace(guess, start=start)))
+    return windows.starting(start)
+
+
+def as_recorded(windows: Windows) -> Windows:
+    """The same windows with starts that no hypothesis has a part in."""
+    return windows.starting(recorded_start(windows.problem))
+
+
+def away(windows: Windows) -> Float[np.ndarray, "windows states"]:
+    """Each window's start less the recorded one, in sds of the latter."""
+    problem = windows.problem
+    return -_tangent(problem, problem.guess.start, recorded_start(problem)) / start_sd(problem)
 
 
 def recorded_start(problem: Problem) -> Start:
@@ -91,8 +102,9 @@ def _corrected(
     finite = np.isfinite(e).all((0, 2))
     x = np.moveaxis(slope[:, finite], 0, -1)
     back = _tangent(short, start, first)[finite] / sd
-    gram = np.swapaxes(x, 1, 2) @ x + np.eye(states)
-    pull = np.einsum("wnk,wn->wk", x, e[0][finite]) + back
+    weight = (DEGREES + 1) / (DEGREES + e[0][finite] ** 2)
+    gram = np.einsum("wn,wnk,wnl->wkl", weight, x, x) + np.eye(states)
+    pull = np.einsum("wn,wnk,wn->wk", weight, x, e[0][finite]) + back
     way[finite] = np.linalg.solve(gram, pull[..., None])[..., 0] * sd
     if height is None:
         height = _height(e[0], _tangent(short, start, first) / sd)
@@ -113,7 +125,8 @@ def _corrected(
 
 def _height(error: np.ndarray, away: np.ndarray) -> Float[np.ndarray, " windows"]:
     with np.errstate(invalid="ignore"):
-        return np.where(np.isfinite(error).all(1), (error**2).sum(1) + (away**2).sum(1), np.inf)
+        told = (DEGREES + 1) * np.log1p(error**2 / DEGREES)
+        return np.where(np.isfinite(error).all(1), told.sum(1) + (away**2).sum(1), np.inf)
 
 
 def _errors(

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from det2stoc_bayes.engines.base import EffectRows, Request
+from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.problem import Finer, Problem, repeat_start
 from det2stoc_bayes.recording import Recording
@@ -26,10 +26,11 @@ ROWS = 40_000  # simulated window samples at once
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """A hypothesis on windows; `horizons` are the samples that are looked at."""
+    """A hypothesis on windows; `horizons` are the samples that are looked at, in the columns that are `heard`."""
 
     problem: Problem
     horizons: tuple[int, ...]
+    heard: Bool[np.ndarray, "horizons columns"] | None = None  # all where it is None
 
     @property
     def count(self) -> int:
@@ -41,13 +42,20 @@ class Windows:
         """Which recording each belongs to."""
         return self.problem.segments.recording
 
-    def errors(self, z: Float[np.ndarray, "variants size"]) -> Float[np.ndarray, "variants windows horizons columns"]:
-        """Recorded minus predicted values in noise sds; NaN where nothing was recorded."""
-        size = max(1, ROWS // self.problem.segments.time.size)
-        return np.concatenate([self._errors(z[i : i + size]) for i in range(0, len(z), size)])
+    def errors(
+        self, z: Float[np.ndarray, "variants size"], start: Start | None = None
+    ) -> Float[np.ndarray, "variants windows horizons columns"]:
+        """Recorded minus predicted values in noise sds; NaN where nothing was recorded or is heard.
 
-    def _errors(self, z: np.ndarray) -> np.ndarray:
-        return self._of(self.problem.request(z, repeat_start(self.problem.guess.start, len(z))))
+        start: one a variant and window, variant-major; by default the windows' own for every variant.
+        """
+        size, count = max(1, ROWS // self.problem.segments.time.size), self.count
+        own, parts = self.problem.guess.start, []
+        for i in range(0, len(z), size):
+            some = z[i : i + size]
+            here = repeat_start(own, len(some)) if start is None else start[i * count : (i + len(some)) * count]
+            parts.append(self._of(self.problem.request(some, here)))
+        return np.concatenate(parts)
 
     def errors_with(
         self, z: Float[np.ndarray, " size"], placed: PlacedEffect, values: Sequence[Mapping[str, Any]]
@@ -66,11 +74,41 @@ class Windows:
         e = problem.residuals(predicted).reshape(shape)[:, :, list(self.horizons)] / problem.noise
         with np.errstate(invalid="ignore"):
             e = np.where(np.abs(e) < FARTHEST, e, FARTHEST)
-        return np.where(segments.observed[:, list(self.horizons)], e, np.nan)
+        return np.where(self.observed, e, np.nan)
+
+    @property
+    def observed(self) -> Bool[np.ndarray, "windows horizons columns"]:
+        """Where a value was recorded and is heard."""
+        there = self.problem.segments.observed[:, list(self.horizons)]
+        return there if self.heard is None else there & self.heard
 
     def with_problem(self, problem: Problem) -> "Windows":
         """The same windows under another hypothesis."""
         return replace(self, problem=problem)
+
+    def only(self, rows: Int[np.ndarray, " rows"]) -> "Windows":
+        """Some of the windows; all recordings stay."""
+        problem = self.problem
+        whole, guess, finer = problem.segments, problem.guess, problem.finer
+        each = {n: getattr(whole, n)[rows] for n in ("recording", "first", "time", "values")}
+        guess = replace(guess, start=guess.start[rows], prior_sd=guess.prior_sd[rows])
+        finer = None if finer is None else replace(finer, shift=finer.shift[rows])
+        return self.with_problem(replace(problem, segments=replace(whole, **each), guess=guess, finer=finer))
+
+    def starting(self, start: Start) -> "Windows":
+        """The same from other initial states."""
+        return self.with_problem(replace(self.problem, guess=replace(self.problem.guess, start=start)))
+
+    def taking(self, other: "Windows", rows: Bool[np.ndarray, " windows"]) -> "Windows":
+        """The same with another hypothesis's starts of some windows, and its integration's error from there."""
+        mine, theirs, wide = self.problem.guess.start, other.problem.guess.start, rows[:, None]
+        qpos, qvel = np.where(wide, theirs.qpos, mine.qpos), np.where(wide, theirs.qvel, mine.qvel)
+        moved = self.starting(Start(qpos, qvel, mine.act))
+        finer, their = self.problem.finer, other.problem.finer
+        if finer is None or their is None:
+            return moved
+        finer = replace(finer, shift=np.where(wide[:, None], their.shift, finer.shift))
+        return moved.with_problem(replace(moved.problem, finer=finer))
 
     def predicted(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, "windows samples columns"]:
         """Predictions of every sample."""
@@ -96,7 +134,7 @@ class Windows:
 
     def on(self, recordings: Sequence[Recording], most: int = MOST) -> "Windows":
         """The same hypothesis on other recordings."""
-        return Windows(self.problem.on(pieces(recordings, self.problem.segments.columns, most)), self.horizons)
+        return self.with_problem(self.problem.on(pieces(recordings, self.problem.segments.columns, most)))
 
 
 def make_windows(problem: Problem) -> Windows:
