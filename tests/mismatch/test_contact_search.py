@@ -220,3 +220,13 @@ def test_chance_gains_little_where_nothing_is_missing(problem, pool):
     few = [c for c in pool if c.effect.name in ("linear_drag", "gravity_error", "friction_error")]
     gain = search.gain_by_chance(base, few, 0, quiet)
     assert 0 <= gain < 20  # a few nats a parameter
+
+
+def test_a_lead_within_the_luck_of_fits_is_not_sure(problem, pool):
+    """Every window says so, by a few nats in all: the bootstrap over recordings alone would be certain."""
+    base = pair_of(problem, [z_of(problem, TRUTH)], named(pool, "linear_drag"))
+    random = np.random.default_rng(0)
+    for lead, low, high in ((5.0, 0.6, 0.95), (40.0, 0.999, 1.0)):
+        better = gaining(base, base, np.full(len(base.heights), lead / len(base.heights)))
+        assert low < search.chances([better, base], random)[0] <= high
+    assert search.chances([base, base], random)[0] == pytest.approx(0.5, abs=0.05)

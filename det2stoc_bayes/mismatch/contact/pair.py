@@ -14,9 +14,10 @@ from det2stoc_bayes.mismatch.contact.window_starts import smoothed
 from det2stoc_bayes.mismatch.contact.windows import Windows
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 
-ROUNDS = 4  # of fits, each with new sensitivities to starts
+ROUNDS = 8  # of fits, each with new sensitivities to starts
 SKETCH = 4  # iterations of what was screened
-SETTLED = 0.3  # sds of the unknowns
+SETTLED = 0.15  # sds of the unknowns
+AHEAD = (1.0, 3.0)  # times the last round's way
 FINER_CERTAIN = 1.5  # standard errors by which a finer integration must tell windows better
 
 
@@ -54,11 +55,19 @@ class Pair:
 
 
 def settled(windows: Windows, z: Float[np.ndarray, " size"] | None = None, rounds: int = ROUNDS) -> WindowFit:
-    """Unknowns and starts, these from recorded ones anew, until the unknowns hardly move."""
+    """Unknowns and starts, these from recorded ones anew, until the unknowns hardly move.
+
+    What stands in for one another, as drag for friction, lies along a narrow valley: each round tries to go on as far,
+    and much farther, as the last one went.
+    """
     z = np.zeros(windows.problem.size) if z is None else z
     fit = fit_windows(smoothed(windows.fine(), z), z)
+    last, moves = fit, None
     for _ in range(rounds - 1):
-        last, fit = fit, fit_windows(fit.windows, fit.z)
+        ways = [fit.z + far * (fit.z - last.z) for far in AHEAD] if moves is not None else []
+        ahead = [np.maximum(way, fit.problem.floor) for way in ways]
+        last, fit = fit, fit_windows(fit.windows, fit.z, others=ahead, moves=moves)
+        moves = fit.away - last.away
         if np.all(np.abs(fit.z - last.z) < SETTLED * np.sqrt(np.diag(fit.covariance))):
             break
     return fit

@@ -33,6 +33,7 @@ FEW = 60.0  # nats: a gain which few windows may have, that by far is not chance
 HELD_GAIN = 3.0  # nats of it on windows held out
 TIMES = 3.0  # what chance gains at most
 NUM_CHANCES = 3  # data sets that the base itself makes
+LUCK = 4.0  # nats by which fits of the same hypothesis differ
 MAX_EFFECTS = 2
 MOST_LEADERS = 2  # whose rivals are looked for where the leader ended
 LEAST_WINDOWS = 8  # that are held out, or nothing is decided by them
@@ -154,12 +155,15 @@ def gain_by_chance(base: Pair, rivals: Sequence[PlacedEffect], seed: int, progre
 
 
 def chances(pairs: Sequence[Pair], random: np.random.Generator, count: int = 4000) -> Float[np.ndarray, " pairs"]:
-    """Chance of each hypothesis to tell recordings like these best, by the Bayesian bootstrap over recordings."""
+    """Chance of each hypothesis to tell recordings like these best, by the Bayesian bootstrap over recordings.
+
+    Fits from other starts end a few nats apart: so much of a lead is luck.
+    """
     _, groups = np.unique(pairs[0].owners, return_inverse=True)
     losses = np.stack([np.bincount(groups, p.heights) for p in pairs], 1)
     losses = losses + np.array([0.5 * p.placed.size for p in pairs]) / len(losses)
     weights = random.dirichlet(np.ones(len(losses)), count) * len(losses)
-    best = (weights @ losses).argmin(1)
+    best = (weights @ losses + LUCK * random.standard_normal((count, len(pairs)))).argmin(1)
     return np.bincount(best, minlength=len(pairs)) / count
 
 

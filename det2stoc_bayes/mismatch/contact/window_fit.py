@@ -22,7 +22,7 @@ from det2stoc_bayes.problem import repeat_start
 
 STEP = 0.5  # prior sds to either side: a finite difference over which contact is smooth enough
 AGREE = 0.3  # relative difference of the slopes to either side beyond which a sensitivity is chaos
-FRACTIONS = (1.0, 0.4, 0.1)  # of a step
+FRACTIONS = (3.0, 1.0, 0.3, 0.1)  # of a step
 LARGEST_STEP = 2.0  # prior sds at once
 FARTHEST_MOVE = 3.0  # sds of a recorded start at once
 ITERATIONS = 8
