@@ -224,7 +224,7 @@ def test_chance_gains_little_where_nothing_is_missing(problem, pool):
 
 def test_a_lead_within_the_luck_of_fits_is_not_sure(problem, pool):
     """Every window says so, by a few nats in all: the bootstrap over recordings alone would be certain."""
-    base = pair_of(problem, [z_of(problem, TRUTH)], named(pool, "linear_drag"))
+    base = pair_of(problem, [z_of(problem, TRUTH), 0.1], named(pool, "linear_drag"))
     random = np.random.default_rng(0)
     for lead, low, high in ((5.0, 0.6, 0.95), (40.0, 0.999, 1.0)):
         better = gaining(base, base, np.full(len(base.heights), lead / len(base.heights)))
