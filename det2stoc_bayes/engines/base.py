@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 from det2stoc_bayes.segments import Segments
@@ -36,6 +36,11 @@ class Start:
 
     def __getitem__(self, rows) -> "Start":
         return Start(self.qpos[rows], self.qvel[rows], self.act[rows])
+
+    def taking(self, other: "Start", rows: Bool[np.ndarray, " sims"]) -> "Start":
+        """The same with another's positions and velocities in some rows."""
+        wide = rows[:, None]
+        return Start(np.where(wide, other.qpos, self.qpos), np.where(wide, other.qvel, self.qvel), self.act)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ def _from_the_best(fit: WindowFit, others: Sequence[WindowFit], own_scales: bool
         if other.problem.guess.start is fit.problem.guess.start:
             continue
         found = fit.windows.taking(other.windows, everywhere).errors(fit.z[None])[0]
-        there = fit.scales.losses(found) + 0.5 * (other.away**2).sum(1)
+        there = fit.scales.losses(found) + other.strange
         better = there < height
         height = np.where(better, there, height)
         errors = np.where(better[:, None, None], found, errors)

@@ -125,10 +125,10 @@ def _unknowns(promise: Promise) -> np.ndarray:
     return np.clip(np.nan_to_num(z), -4.0, 4.0)
 
 
-def resettled(pair: Pair, rounds: int = ROUNDS) -> Pair:
+def resettled(pair: Pair) -> Pair:
     """With starts estimated under the whole hypothesis, of fitted and held-out windows."""
     finer = pair.fit.problem.finer
-    fit = settled(pair.fit.windows, pair.fit.z, rounds)
+    fit = settled(pair.fit.windows, pair.fit.z)
     problem = replace(pair.held.windows.fine().problem, effects=fit.problem.effects, spreads=fit.problem.spreads)
     windows = pair.held.windows.with_problem(problem)
     windows = smoothed(windows, fit.problem.carry(fit.z, problem))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -67,7 +68,8 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
         promises = screen(there.fit, [p for p in others if p not in seen], _counted(progress, len(others)))
         base, found = leading(base, [*found, *refined(there, promises, progress)])
     rivals = [p.placed for p in found]
-    taken = next((p for p in found[:NUM_SETTLED] if earns(base, p, rivals, seed, progress)), None)
+    chance = cache(lambda: gain_by_chance(base, rivals, seed, progress))  # which takes long, and is seldom asked for
+    taken = next((p for p in found[:NUM_SETTLED] if earns(base, p, chance)), None)
     if taken is not None:
         base, found = settled_down(base, found, taken, progress)
         taken = found[0]
@@ -121,10 +123,10 @@ def leading(base: Pair, found: Sequence[Pair]) -> tuple[Pair, list[Pair]]:
     return base, list(first.values())
 
 
-def earns(base: Pair, more: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress) -> bool:
+def earns(base: Pair, more: Pair, chance: Callable[[], float]) -> bool:
     """Whether an addition tells fitted and held-out windows better than chance does.
 
-    Either most windows say so, or few do by far more than the rivals gain on data of the base's own making.
+    Either most windows say so, or few do by far more than `chance`, what is gained on data of the base's own making.
     """
     if not (more.fit.z > more.fit.problem.floor + 1e-6).all():
         return False
@@ -137,7 +139,7 @@ def earns(base: Pair, more: Pair, rivals: Sequence[PlacedEffect], seed: int, pro
         return True
     if gains.sum() <= FEW or gains[~fitted].sum() < HELD_GAIN:
         return False
-    return bool(gains[fitted].sum() > TIMES * gain_by_chance(base, rivals, seed, progress))
+    return bool(gains[fitted].sum() > TIMES * chance())
 
 
 def gain_by_chance(base: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress) -> float:

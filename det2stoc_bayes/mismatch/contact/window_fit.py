@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.mismatch.contact.beside_starts import BesideStarts
 from det2stoc_bayes.mismatch.contact.scales import Scales, scales_of, scatter
 from det2stoc_bayes.mismatch.contact.window_starts import away, start_sd
@@ -71,8 +70,13 @@ class WindowFit:
 
     @cached_property
     def heights(self) -> Float[np.ndarray, " windows"]:
-        """The same and -log density of its start, as the measurement of its first sample has it."""
-        return self.losses + 0.5 * (self.away**2).sum(1)
+        """The same and that of its start."""
+        return self.losses + self.strange
+
+    @cached_property
+    def strange(self) -> Float[np.ndarray, " windows"]:
+        """-log density of each window's start, as the measurement of its first sample has it."""
+        return 0.5 * (self.away**2).sum(1)
 
     @property
     def loss(self) -> float:
@@ -175,9 +179,7 @@ def _best(windows: Windows, z: np.ndarray, moves: np.ndarray, scales: Scales | N
         out.append((height, k, better, errors))
     height, k, better, errors = min(out, key=lambda t: t[0])
     mine = there[k * windows.count : (k + 1) * windows.count]
-    wide = better[:, None]
-    chosen = Start(np.where(wide, mine.qpos, start.qpos), np.where(wide, mine.qvel, start.qvel), start.act)
-    return _Tried(height, windows.starting(chosen) if better.any() else windows, z[k], errors)
+    return _Tried(height, windows.starting(start.taking(mine, better)) if better.any() else windows, z[k], errors)
 
 
 def at(windows: Windows, z: Float[np.ndarray, " size"], scales: Scales | None = None) -> WindowFit:

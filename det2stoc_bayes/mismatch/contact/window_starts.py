@@ -14,11 +14,11 @@ from jaxtyping import Float
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.engines.layout import position_difference
 from det2stoc_bayes.engines.state_columns import quaternion_address, state_columns
+from det2stoc_bayes.mismatch.contact.scales import DEGREES
 from det2stoc_bayes.mismatch.contact.windows import Windows
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.starts import guess_starts
 
-DEGREES = 3.0
 LOOKED_AT = 6  # samples from the start on
 RATE = 0.5  # noise sds over a sampling interval: sd of a speed that is estimated from positions
 UNSEEN = 0.3  # spreads of what no column shows
@@ -114,11 +114,7 @@ def _corrected(
         moved = short.moved(start, one)
         there = _height(error, _tangent(short, moved, first) / sd)
         better = there < height
-        start = Start(
-            np.where(better[:, None], moved.qpos, start.qpos),
-            np.where(better[:, None], moved.qvel, start.qvel),
-            start.act,
-        )
+        start = start.taking(moved, better)
         height = np.where(better, there, height)
     return start, height
 

@@ -101,13 +101,11 @@ class Windows:
 
     def taking(self, other: "Windows", rows: Bool[np.ndarray, " windows"]) -> "Windows":
         """The same with another hypothesis's starts of some windows, and its integration's error from there."""
-        mine, theirs, wide = self.problem.guess.start, other.problem.guess.start, rows[:, None]
-        qpos, qvel = np.where(wide, theirs.qpos, mine.qpos), np.where(wide, theirs.qvel, mine.qvel)
-        moved = self.starting(Start(qpos, qvel, mine.act))
+        moved = self.starting(self.problem.guess.start.taking(other.problem.guess.start, rows))
         finer, their = self.problem.finer, other.problem.finer
         if finer is None or their is None:
             return moved
-        finer = replace(finer, shift=np.where(wide[:, None], their.shift, finer.shift))
+        finer = replace(finer, shift=np.where(rows[:, None, None], their.shift, finer.shift))
         return moved.with_problem(replace(moved.problem, finer=finer))
 
     def predicted(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, "windows samples columns"]:
