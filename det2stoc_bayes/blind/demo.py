@@ -18,13 +18,15 @@ from det2stoc_bayes.blind.score import score
 from det2stoc_bayes.blind.systems import SYSTEMS
 from det2stoc_bayes.blind.variants import VARIANTS
 
+QUICK = ("pendulum", "cart_pole", "slider")  # whose diagnosis takes half a minute
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Make a concealed study, diagnose it, and show the diagnosis beside the answer."""
     parser = argparse.ArgumentParser(prog="make demo", description=main.__doc__)
     parser.add_argument("--seed", type=int, help="default: from the operating system's entropy")
     parser.add_argument("--out", type=Path, default=Path("out"), help="parent of the demo's folder")
-    parser.add_argument("--system", choices=list(SYSTEMS))
+    parser.add_argument("--system", choices=list(SYSTEMS), help=f"default: one of {', '.join(QUICK)}")
     parser.add_argument("--effect", choices=list(LAWS))
     parser.add_argument("--control", action="store_true", help="conceal nothing")
     parser.add_argument("--count", type=int, choices=(1, 2, 3), default=1, help="effects that are concealed at once")
@@ -35,9 +37,8 @@ def main(arguments: list[str] | None = None) -> int:
     folder = a.out / f"demo-{seed}"
     study, diagnosis_folder = folder / "study", folder / "diagnosis"
     console.print(f"[bold]Seed {seed}[/bold]: concealing an effect in a study under {study} ...")
-    case = make_case(
-        seed, system=a.system, effect=a.effect, count=a.count, control=a.control, variants=tuple(a.variant)
-    )
+    system = a.system or QUICK[seed % len(QUICK)]
+    case = make_case(seed, system=system, effect=a.effect, count=a.count, control=a.control, variants=tuple(a.variant))
     case.write(study)
     console.print(f"The study has {len(case.study_files)} files; the answer is in this process's memory only.\n")
     command = [sys.executable, "-m", "det2stoc_bayes", "diagnose", str(study), "--out", str(diagnosis_folder)]

@@ -17,20 +17,33 @@ MAX_COLUMNS = 128  # held at once
 Values = Mapping[str, Any]
 
 
-def changes(
-    fit: Fit, candidates: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda n: None
-) -> Iterator[tuple[PlacedEffect, Trial, Float[np.ndarray, "segments values columns"]]]:
-    """Change of the prediction by every trial, starts held. Forces and commands cost no simulation of their own."""
-    response, readings = Response(fit), _Readings(fit)
-    for placed in candidates:
-        trials = placed.effect.trials(placed.typical)
+class Changes:
+    """Changes of a fit's prediction by trials, starts held. Forces and commands cost no simulation of their own."""
+
+    def __init__(self, fit: Fit):
+        self._response, self._readings = Response(fit), _Readings(fit)
+
+    def of(
+        self, placed: PlacedEffect, trials: Sequence[Trial]
+    ) -> Iterator[tuple[Trial, Float[np.ndarray, "segments values columns"]]]:
+        """Each trial of an effect with what its columns change."""
         while trials:
             some = trials[: max(MAX_COLUMNS // len(trials[0].columns), 1)]
             trials = trials[len(some) :]
-            found = _columns(response, readings, placed, [dict(values) for trial in some for values in trial.columns])
-            columns = iter(np.moveaxis(found, -1, 0))
+            tried = [dict(values) for trial in some for values in trial.columns]
+            columns = iter(np.moveaxis(_columns(self._response, self._readings, placed, tried), -1, 0))
             for trial in some:
-                yield placed, trial, np.stack([next(columns) for _ in trial.columns], -1)
+                yield trial, np.stack([next(columns) for _ in trial.columns], -1)
+
+
+def changes(
+    fit: Fit, candidates: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda n: None
+) -> Iterator[tuple[PlacedEffect, Trial, Float[np.ndarray, "segments values columns"]]]:
+    """Change of the prediction by every trial of every candidate."""
+    by_trial = Changes(fit)
+    for placed in candidates:
+        for trial, columns in by_trial.of(placed, placed.effect.trials(placed.typical)):
+            yield placed, trial, columns
         advance(1)
 
 

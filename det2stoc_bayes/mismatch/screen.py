@@ -7,12 +7,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from det2stoc_bayes.mismatch.addition import add
-from det2stoc_bayes.mismatch.changes import changes
+from det2stoc_bayes.mismatch.changes import Changes
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
 from det2stoc_bayes.optimize import Fit
 
 WRONG_SIGN = -0.69  # nats of a candidate whose coefficient has a sign that it cannot have
 MOST_PAIRED, MOST_TRIED = 40, 12  # candidates that are paired, and those of which all trials are
+NUM_SHARPENED = 12  # candidates about whose best trial others are tried
+REACHES = (0.6, 0.3, 0.15, 0.07)
+MOST_STEPS = 4  # at each of them
+WORTH_A_STEP = 1.0  # nats
 NUM_OTHERS = 3  # trials of an effect that are kept beside its best
 
 
@@ -47,12 +51,30 @@ def screen(
     beside = Beside(fit)
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
-    for placed, trial, columns in changes(fit, new, advance):
-        found = beside.judge(placed, trial, columns)
-        if found is not None:
-            trials[placed] = _kept([*trials.get(placed, ()), found])
-            _forget(trials)
+    by_trial = Changes(fit)
+    for placed in new:
+        for trial, columns in by_trial.of(placed, placed.effect.trials(placed.typical)):
+            found = beside.judge(placed, trial, columns)
+            if found is not None:
+                trials[placed] = _kept([*trials.get(placed, ()), found])
+                _forget(trials)
+        advance(1)
+    for placed in sorted(trials, key=lambda placed: -trials[placed][0].log_evidence)[:NUM_SHARPENED]:
+        trials[placed] = _sharpened(trials[placed], beside, by_trial)
     return sorted((replace(t[0], others=tuple(t[1:])) for t in trials.values()), key=lambda s: -s.log_evidence)
+
+
+def _sharpened(trials: list[Screened], beside: "Beside", by_trial: Changes) -> list[Screened]:
+    """An effect's trials and those about the best, closer and closer (a pattern search)."""
+    for reach in REACHES:
+        for _ in range(MOST_STEPS):
+            best = trials[0]
+            about = best.placed.effect.about(best.trial, best.placed.typical, reach)
+            judged = (beside.judge(best.placed, trial, columns) for trial, columns in by_trial.of(best.placed, about))
+            trials = _kept([*trials, *(s for s in judged if s is not None)])
+            if trials[0].log_evidence < best.log_evidence + WORTH_A_STEP:
+                break
+    return trials
 
 
 def _kept(tried: Sequence[Screened]) -> list[Screened]:

@@ -80,7 +80,7 @@ def beyond_list(found: Explanation, pool: Sequence[PlacedEffect], looks: Looks) 
     for num_variables in (1, 2):
         curves = _beside(found.before, pool, num_variables, max(PROMISING * _earned(found), needed))
         for ranked in curves.ranked[:1]:
-            better = _completed(ranked.fit, found, pool, needed, looks)
+            better = _completed(ranked.fit, found, needed, looks)
             if _clearly(better, found, needed):
                 return _with(better, found, curves, pool, looks)
     return found
@@ -137,12 +137,13 @@ def _settled(fit: Fit, screened: Screened) -> tuple[Fit, Screened]:
     return fit, screened
 
 
-def _completed(fit: Fit, found: Explanation, pool: Sequence[PlacedEffect], needed: float, looks: Looks) -> Fit:
-    """The curve at the longest horizon, with listed effects beside it where it leaves more than chance."""
+def _completed(fit: Fit, found: Explanation, needed: float, looks: Looks) -> Fit:
+    """The curve at the longest horizon; where more than chance is left, beside listed effects that were near before."""
     fit = extend(fit)
     if enough(fit, found.before) or len(found.after.problem.effects) == 0:
         return fit
-    return grow(looks.at(fit, pool), pool, needed, looks)[0]
+    near = list(dict.fromkeys(r.placed for slot in found.slots for r in slot.ranked))
+    return grow(looks.at(fit, near), near, needed, looks)[0]
 
 
 def _clearly(fit: Fit, found: Explanation, needed: float) -> bool:

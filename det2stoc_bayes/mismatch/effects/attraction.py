@@ -1,5 +1,6 @@
 """A pull towards a point in space, as of a magnet or a mass."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -10,6 +11,8 @@ from det2stoc_bayes.mismatch.effects.body import BodyEffect
 WIDE = 2.0  # spreads of the body's own places, as far as points in space are looked for
 DISTANCES = (1.5, 4.0)  # spreads at which the first ones are
 DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, d)) in (1, 3)])
+UNIT = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+CLOSEST = 0.5  # spreads, below which a point's distance is no scale of its own
 TINY = 1e-12  # m2: a body in the point itself is not thrown away
 
 
@@ -33,6 +36,13 @@ class PointEffect(BodyEffect):
         priors = self.priors(typical)
         z = [float(priors[p.name].to_normal(np.asarray(values[p.name], float))) for p in others]
         return np.array([*z, *(np.asarray(values[point.name]) - typical.place) / (WIDE * typical.way)])
+
+    def about(self, trial, typical, reach):
+        """Points about the trial's, by their distance from the body."""
+        point = self.parameters[-1].name
+        centre = np.asarray(trial.columns[0][point])
+        far = max(float(np.linalg.norm(centre - typical.place)), CLOSEST * typical.way)
+        return [replace(trial, columns=({**trial.columns[0], point: tuple(centre + reach * far * d)},)) for d in UNIT]
 
     def combine(self, trial, coefficients, typical):
         """The trial's own point, its first parameter scaled."""

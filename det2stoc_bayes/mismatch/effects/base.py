@@ -150,6 +150,10 @@ class Effect:
         step = SMALL * float(self.priors(typical)[first.name].from_normal(np.array(1.0)) - first.absent)
         return [Trial(unit_columns(first, step))]
 
+    def about(self, trial: Trial, typical: Typical, reach: float) -> list[Trial]:
+        """Trials about one, at a share of what is between the first ones; none where fits find the rest."""
+        return []
+
     def combine(self, trial: Trial, coefficients: Float[np.ndarray, " columns"], typical: Typical) -> dict[str, Any]:
         """Starting values for refinement from a trial's fitted coefficients (in units of its columns)."""
         first = self.parameters[0]

@@ -1,10 +1,15 @@
 """A string that ties a body to a point in space."""
 
+from dataclasses import replace
+
+import numpy as np
+
 from det2stoc_bayes.mismatch.effects.attraction import DIRECTIONS, WIDE, PointEffect
 from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, around, normal
 
 NEAR = 1.5  # spreads of the body's own places, from the first anchors that are tried
 SLACK = (-0.7, 0.0, 0.7)  # spreads by which the string is longer than the way to the body's middle place
+LEAST = 0.05  # spreads: the shortest string that is tried
 TINY = 1e-12  # m2
 
 
@@ -35,6 +40,18 @@ class Tether(PointEffect):
         tried = [(anchor, far + slack * way) for anchor, far in ends for slack in SLACK]
         tried += [(tuple(typical.place), f * way) for f in (0.3, 0.8)]
         return [Trial(({"stiffness": stiffness, "length": length, "anchor": anchor},)) for anchor, length in tried]
+
+    def about(self, trial, typical, reach):
+        """Anchors about the trial's by strings as taut as its own, and strings of other lengths."""
+        (values,) = trial.columns
+        way = np.linalg.norm(np.asarray(values["anchor"]) - typical.place)
+        out = []
+        for moved in super().about(trial, typical, reach):
+            farther = np.linalg.norm(np.asarray(moved.columns[0]["anchor"]) - typical.place) - way
+            length = max(values["length"] + farther, LEAST * typical.way)
+            out.append(replace(moved, columns=({**moved.columns[0], "length": length},)))
+        lengths = (max(values["length"] + sign * reach * typical.way, LEAST * typical.way) for sign in (-1.0, 1.0))
+        return [*out, *(replace(trial, columns=({**values, "length": length},)) for length in lengths)]
 
     def body_force(self, p, s, xp):
         """Towards the anchor, by the centre of mass's distance."""
