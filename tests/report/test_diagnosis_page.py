@@ -171,6 +171,16 @@ def test_missing_parts_leave_their_sections_out(finding) -> None:
     assert "import effects" not in words and "patched.xml" in words
 
 
+@pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
+def test_windows_of_contact_are_not_called_rollouts_from_samples_before(finding, fit) -> None:
+    """In contact a window starts from what its own samples say, and the page must not claim more."""
+    there = {**finding, "contact": {"windows": 90, "finer_integration": False}}
+    smooth, told = (diagnosis_page(f, fit, study_name="arm") for f in (finding, there))
+    assert "from states that were estimated from the samples before" in smooth
+    assert "from states that were estimated from the samples before" not in told
+    assert "contact makes longer predictions worthless" in told
+
+
 def test_null_numbers_are_printed_as_missing(finding, fit) -> None:
     finding = copy.deepcopy(finding)
     finding["evidence"] = {"log10_bayes_factor": None, "noise_inflation": None}
