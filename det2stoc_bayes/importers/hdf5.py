@@ -1,15 +1,17 @@
 """What the formats that are HDF5 files share: numeric arrays, a row a sample, as signals."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
 import numpy as np
+from jaxtyping import Float
 
 from det2stoc_bayes.importers.base import Signal, SourceError, numbers
 
 MOST_WIDTH = 512  # numbers a row: more are pictures
+Clock = Callable[[int], Float[np.ndarray, " samples"]]  # the times of so many rows
 
 
 @contextmanager
@@ -26,11 +28,11 @@ def opened(path: Path) -> Iterator[h5py.File]:
         yield file
 
 
-def signals(item: object, name: str, period: float, where: str) -> Iterator[tuple[str, Signal]]:
+def signals(item: object, name: str, clock: Clock, where: str) -> Iterator[tuple[str, Signal]]:
     """`name/<key>/<index>` of every number of every row below an item; pictures and text are passed over."""
     if isinstance(item, h5py.Group):
         for key, child in item.items():
-            yield from signals(child, f"{name}/{key}", period, where)
+            yield from signals(child, f"{name}/{key}", clock, where)
         return
     if not isinstance(item, h5py.Dataset):
         return
@@ -38,12 +40,24 @@ def signals(item: object, name: str, period: float, where: str) -> Iterator[tupl
     if item.ndim not in (1, 2) or picture or not np.issubdtype(item.dtype, np.number):
         return
     values = numbers(item[()], f"{where}: {name}")
-    time = period * np.arange(len(values))
+    time = clock(len(values))
     if values.ndim == 1:
         yield name, Signal(time, values, None, name)
     else:
         for i in range(values.shape[1]):
             yield f"{name}/{i}", Signal(time, values[:, i])
+
+
+def evenly(period: float, first: int = 0) -> Clock:
+    """A row a period, the first after so many of them."""
+    return lambda rows: period * np.arange(first, first + rows)
+
+
+def height(item: object) -> int:
+    """How many rows the arrays below an item have: the first's."""
+    while isinstance(item, h5py.Group):
+        item = next(iter(item.values()), None)
+    return len(item) if isinstance(item, h5py.Dataset) and item.ndim else 0
 
 
 def episodes(group: h5py.Group, prefix: str) -> list[str]:

@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from det2stoc_bayes.engines.model_names import ModelNames
 from det2stoc_bayes.errors import listing
 from det2stoc_bayes.importers.base import Asked, Contents, Log, Signal, SourceError, clock, numbers
 
-ABOUT = "a LeRobot v3 data set's folder, an episode a recording; timestamp is in s, joints' units are asked for"
+ABOUT = ("a LeRobot v3 data set's folder, an episode a recording; joints' units are asked for; timestamp is in s, "
+         "in full where it is frame_index / fps")  # fmt: skip
 TAKES: tuple[str, ...] = ()
 SETTINGS: Mapping[str, str] = {}
 INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
@@ -31,15 +33,17 @@ def read(source: Path, asked: Asked, names: ModelNames) -> Contents:
     logs: list[Log] = []
     for path in paths:
         try:
-            content = parquet.read_table(path)
+            with parquet.ParquetFile(path) as file:
+                columns = file.schema_arrow.names
+                there = {name: feature for name, feature in features.items() if name in columns}
+                content = file.read([*(name for name in INDICES if name in columns), *there])  # and no pictures
         except (pa.ArrowException, OSError) as error:
             raise SourceError(f"{path.name}: cannot be read: {str(error).splitlines()[0]}; allowed: Parquet") from error
-        missing = [name for name in ("timestamp", "episode_index") if name not in content.column_names]
+        missing = [name for name in ("timestamp", "episode_index") if name not in columns]
         if missing:
-            raise SourceError(f"{path.name}: no column {missing[0]}; found {listing(content.column_names)}; "
+            raise SourceError(f"{path.name}: no column {missing[0]}; found {listing(columns)}; "
                               "allowed: a LeRobot v3 file")  # fmt: skip
-        there = {name: feature for name, feature in features.items() if name in content.column_names}
-        logs += _episodes(path, content.select([*INDICES[:1], "episode_index", *there]), there, asked)
+        logs += _episodes(path, content, there, info.get("fps"), asked)
     seen = [log.name for log in logs]
     if len(set(seen)) < len(seen):
         raise SourceError(f"{source}: an episode lies in two files; allowed: one")
@@ -64,10 +68,10 @@ def _info(source: Path) -> dict[str, Any]:
     return info
 
 
-def _episodes(path: Path, content: Any, features: Mapping[str, Any], asked: Asked) -> Iterator[Log]:
+def _episodes(path: Path, content: Any, features: Mapping[str, Any], rate: object, asked: Asked) -> Iterator[Log]:
     """The episodes of one file."""
     episode = numbers(content["episode_index"].to_numpy(), f"{path.name}: episode_index").astype(int)
-    stamps = numbers(content["timestamp"].to_numpy(), f"{path.name}: timestamp")
+    stamps = _stamps(content, rate, path.name)
     columns: dict[str, tuple[str, np.ndarray]] = {}
     for name, feature in features.items():
         rows = content[name].to_pylist()
@@ -84,12 +88,22 @@ def _episodes(path: Path, content: Any, features: Mapping[str, Any], asked: Aske
             })  # fmt: skip
 
 
+def _stamps(content: Any, rate: object, where: str) -> Float[np.ndarray, " samples"]:
+    """LeRobot stamps frame_index / fps, rounded to float32 (to 4 us after a minute): here in full where that is so."""
+    stamps = numbers(content["timestamp"].to_numpy(), f"{where}: timestamp")
+    if "frame_index" not in content.column_names or not isinstance(rate, int | float) or not rate > 0:
+        return stamps
+    full = numbers(content["frame_index"].to_numpy(), f"{where}: frame_index") / rate
+    return full if np.array_equal(full.astype(np.float32), stamps.astype(np.float32)) else stamps
+
+
 def _labels(name: str, feature: Mapping[str, Any], width: int) -> list[str]:
-    """The names of a feature's components: a list, or a list in a table of one kind; or their numbers."""
+    """The names of a feature's components: a list, or in a table of one kind, or of names and places; or numbers."""
     given = feature.get("names")
     if isinstance(given, dict):
-        given = next(iter(given.values()), None)
-    if isinstance(given, list) and all(isinstance(g, str) for g in given):
+        placed = {place: name for name, place in given.items() if isinstance(place, int)}
+        given = [placed[i] for i in sorted(placed)] if placed else next(iter(given.values()), None)
+    if isinstance(given, list) and all(isinstance(g, str) for g in given) and len(feature.get("shape") or ()) < 2:
         if len(given) != width:
             raise SourceError(
                 f"meta/info.json: features.{name}.names: found {len(given)}; allowed: {width}, as in the data"

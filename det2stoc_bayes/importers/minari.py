@@ -7,7 +7,7 @@ import h5py
 from det2stoc_bayes.engines.model_names import ModelNames
 from det2stoc_bayes.errors import listing
 from det2stoc_bayes.importers.base import Asked, Contents, Log, Signal, SourceError
-from det2stoc_bayes.importers.hdf5 import episodes, opened, signals
+from det2stoc_bayes.importers.hdf5 import episodes, evenly, height, opened, signals
 
 ABOUT = "a Minari data set's folder, or its main_data.hdf5, an episode a recording; --period is asked for"
 TAKES = ("period",)
@@ -35,4 +35,11 @@ def _signals(episode: object, period: float, where: str) -> dict[str, Signal]:
     if not isinstance(episode, h5py.Group) or not {"observations", "actions"} <= set(episode):
         found = listing(episode) if isinstance(episode, h5py.Group) else "no group"
         raise SourceError(f"{where}: found {found}; allowed: observations and actions")
-    return {k: s for part in TAKEN if part in episode for k, s in signals(episode[part], part, period, where)}
+    steps, seen = height(episode["actions"]), height(episode["observations"])
+    if seen != steps + 1:
+        raise SourceError(f"{where}: found {seen} observations and {steps} actions; allowed: one observation more")
+    every: dict[str, Signal] = {}
+    for part in (part for part in TAKEN if part in episode):
+        late = part == "infos" and height(episode[part]) == steps  # each is of the observation after its action
+        every.update(signals(episode[part], part, evenly(period, int(late)), where))
+    return every

@@ -24,7 +24,7 @@ from det2stoc_bayes.optimize import Fit, fit_many
 NUM_REFINED = 2
 MOST_RESHAPED = 3  # times that a curve's prior is chosen anew
 ENOUGH = 2.0  # nats: a choice that gains less is the last one
-LEFT = 0.2  # of the misfit beside listed effects: what leaves more is not the shape that is missing
+LEFT = 0.2  # of the misfit: what leaves more is not the shape that is missing
 PROMISING = 0.5  # of the evidence that listed effects earn: what a curve must promise to be fitted
 
 
@@ -111,7 +111,9 @@ def _beside(base: Fit, pool: Sequence[PlacedEffect], num_variables: int, least: 
         return _Curves([], [])
     share = effective_share(min(fits, key=lambda f: f.chi2))
     first, *rest = sorted(fits, key=lambda f: -gain(base, f, share))
-    first, own = _settled(first, next(s for s in worth if s.placed == first.problem.effects[-1]))
+    own = next(s for s in worth if s.placed == first.problem.effects[-1])
+    if first.noise_inflation - 1 < LEFT * (base.noise_inflation - 1):  # else no shape of it is what is missing
+        first, own = _settled(first, own)
     share = effective_share(first)
     ranked = [Ranked(f.problem.effects[-1], f, gain(base, f, share)) for f in (first, *rest)]
     told = [own, *(s for s in worth if s.placed in [r.placed for r in ranked[1:]])]

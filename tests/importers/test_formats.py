@@ -1,17 +1,14 @@
-"""Every format, from a small file that its own library wrote where there is one."""
+"""Every format but those of test_learning_sets, from a small file that its own library wrote where there is one."""
 
 import json
 from pathlib import Path
 
-import h5py
 import mujoco
 import numpy as np
-import pyarrow as pa
 import pytest
 from importing_arm import ANGLE, ARM, SPEED, TIME, TORQUE
 from mcap_ros2.writer import Writer as McapWriter
 from mujoco.sysid._src import timeseries, trajectory
-from pyarrow import parquet
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
@@ -95,42 +92,6 @@ def test_a_lone_time_series_of_sensors_says_how_it_is_stamped(place):
     np.testing.assert_allclose(place.recording("s")[1], np.column_stack([TIME, ANGLE]), atol=1e-9)
 
 
-def test_lerobot_episodes(place):
-    """LeRobot's own library needs PyTorch: these files are laid out after its documentation of version 3."""
-    root = place.folder / "dataset"
-    (root / "meta").mkdir(parents=True)
-    (root / "data" / "chunk-000").mkdir(parents=True)
-    names = {"motors": ["wrist.pos"]}
-    features = {
-        "observation.state": {"dtype": "float32", "shape": [1], "names": names},
-        "action": {"dtype": "float32", "shape": [1], "names": names},
-        "observation.images.top": {"dtype": "video", "shape": [4, 4, 3], "names": None},
-        **{k: {"dtype": "int64", "shape": [1], "names": None} for k in ("frame_index", "episode_index", "index")},
-        "timestamp": {"dtype": "float32", "shape": [1], "names": None},
-    }
-    info = {"codebase_version": "v3.0", "robot_type": "arm", "fps": 100, "features": features}
-    (root / "meta" / "info.json").write_text(json.dumps(info))
-    number = len(TIME)
-    content = {
-        "observation.state": pa.array([[np.degrees(a)] for a in (*ANGLE, *(2 * ANGLE))], pa.list_(pa.float32(), 1)),
-        "action": pa.array([[u] for u in (*TORQUE, *TORQUE)], pa.list_(pa.float32(), 1)),
-        "timestamp": pa.array([*TIME, *TIME], pa.float32()),
-        "frame_index": [*range(number)] * 2,
-        "episode_index": [0] * number + [1] * number,
-        "index": range(2 * number),
-        "task_index": [0] * (2 * number),
-    }
-    parquet.write_table(pa.table(content), root / "data" / "chunk-000" / "file-000.parquet")
-    more = ("--column", "qpos/wrist=observation.state/wrist.pos", "--column", "ctrl/drive=action/wrist.pos")
-    code, said = place.imported("lerobot", "dataset", *more, "--unit", "qpos/*=deg", "--unit", "ctrl/*=model",
-                                "--phase", "after", "--holdout", "episode_001")  # fmt: skip
-    assert code == 0, said
-    header, rows = place.recording("episode_000")
-    assert header == ["time", "qpos/wrist", "ctrl/drive"]
-    np.testing.assert_allclose(rows, np.column_stack([TIME, ANGLE, TORQUE]), atol=3e-7)  # float32 of degrees
-    assert [r.name for r in load_study(place.out).holdout] == ["episode_001"]
-
-
 JOINT_STATE = """std_msgs/Header header
 string[] name
 float64[] position
@@ -194,51 +155,6 @@ def test_a_rosbag2_of_joint_states_and_commands(place):
     np.testing.assert_allclose(sent[:, 0], TIME[:-1] + 1e-3, atol=1e-9)  # after the last measurement nothing is told
     np.testing.assert_allclose(sent[:, 2], TORQUE[:-1])
     np.testing.assert_allclose(rows[~np.isnan(rows[:, 1]), 1], ANGLE)
-
-
-def test_minari_episodes(place):
-    """Laid out after Minari's documentation: one observation more than actions."""
-    data = place.folder / "dataset" / "data"
-    data.mkdir(parents=True)
-    with h5py.File(data / "main_data.hdf5", "w") as file:
-        for number in (0, 1, 10):
-            episode = file.create_group(f"episode_{number}")
-            episode["observations/pose"] = np.column_stack([ANGLE, SPEED])
-            episode["observations/picture"] = np.zeros((len(TIME), 4, 4), np.uint8)
-            episode["actions"] = TORQUE[:-1, None]
-            episode["infos/qpos"] = ANGLE[:, None] + number
-    more = ("--column", "qpos/wrist=infos/qpos/0", "--column", "ctrl/drive=actions/0", "--unit", "qpos/*=rad")
-    code, said = place.imported("minari", "dataset", *more, "--unit", "ctrl/*=model")
-    assert code == 2 and "give --period" in said[-1]
-    code, said = place.imported("minari", "dataset", *more, "--unit", "ctrl/*=model", "--period", "0.01")
-    assert code == 0, said
-    _, rows = place.recording("episode_10")
-    np.testing.assert_allclose(rows[:, :2], np.column_stack([TIME, ANGLE + 10]), atol=1e-9)
-    np.testing.assert_allclose(rows[:-1, 2], TORQUE[:-1])
-    assert np.isnan(rows[-1, 2])
-
-
-def test_robomimic_demonstrations_say_their_rate(place):
-    """Laid out after robomimic's documentation."""
-    with h5py.File(place.folder / "demos.hdf5", "w") as file:
-        data = file.create_group("data")
-        data.attrs["env_args"] = json.dumps({"env_name": "Arm", "env_kwargs": {"control_freq": 100}})
-        demo = data.create_group("demo_0")
-        demo["obs/joint_pos"], demo["actions"] = ANGLE[:, None], TORQUE[:, None]
-        demo["states"] = np.column_stack([TIME, ANGLE, SPEED])
-    more = (
-        "--column",
-        "qpos/wrist=obs/joint_pos/0",
-        "--column",
-        "qvel/wrist=states/2",
-        "--column",
-        "ctrl/drive=actions/0",
-    )
-    units = ("--unit", "qpos/*=rad", "--unit", "qvel/*=rad/s", "--unit", "ctrl/*=model")
-    code, said = place.imported("robomimic", "demos.hdf5", *more, *units)
-    assert code == 0, said
-    _, rows = place.recording("demo_0")
-    np.testing.assert_allclose(rows, np.column_stack([TIME, ANGLE, SPEED, TORQUE]), atol=1e-9)
 
 
 def bam_log(**more) -> dict:
