@@ -15,7 +15,7 @@ from det2stoc_bayes.blind.reality import shifted, simulate_believed, simulate_re
 
 ITERATIONS = 10
 # Tenths of psi's value: only signs are kept, or effects would be seen by the edge of a prior alone.
-PSI_RANGE = (-9.8, 100.0)
+PSI_RANGE = (-9.8, 1000.0)
 ENOUGH = 0.05  # an iteration that lowers the squares by a smaller share is the last
 
 

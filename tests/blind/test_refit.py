@@ -65,6 +65,16 @@ def test_what_is_beyond_its_range_or_psis_own_is_not_concealed():
         make_case(1, system="slider", effect="armature", num_recordings=2, num_samples=60)
 
 
+def test_psi_takes_up_what_is_its_own_however_far_it_has_to_go():
+    """A damping sixteen times psi's own value beside it is a prior that is wrong, and no effect."""
+    probe = probe_of("torsion", samples=60)
+    own = next(p.name for p in SYSTEMS["torsion"].psi if p.name == "shaft_damping")
+    effect = Effect("viscous_damping", "joint", "shaft", {"coefficient": 16 * probe.psi[own]})
+    changed = probe.with_effects(effect)
+    assert probe.change(changed) > 10.0
+    assert refit(probe, changed).left < 0.5  # measured: 0.17, what finer steps leave
+
+
 def test_a_pair_has_two_effects_that_stay():
     probe, rng = probe_of("pendulum"), np.random.default_rng(2)
     friction = find(rng, probe, ("coulomb_friction", "pivot"), 8.0)
