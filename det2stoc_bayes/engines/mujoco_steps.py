@@ -67,16 +67,17 @@ class Stepper:
         batch, num_steps = self.batch, commands.shape[1] - 1
         live = {name: batch.bind(name) for name in items}
         out = {name: np.empty((len(self.qpos), num_steps, array.shape[1])) for name, array in live.items()}
-        stage = _VEL if self.pushed else _NONE
+        ahead = bool(self.pushed) and not self.momentary  # else `prepare` places bodies, under the coming step's fields
         # The stages of the new state would overwrite its sensors, those of the middle are not the ones to step from.
-        apart = bool(self.pushed) and ("sensordata" in live or self.middle)
-        if self.pushed:
+        apart = ahead and ("sensordata" in live or self.middle)
+        stage = _VEL if ahead and not apart else _NONE
+        if ahead:
             self._place()
         for k in range(num_steps):
             self.prepare(commands[:, k])
             self._keep()
             self.past[:] = self.qvel
-            batch.step(stage=_NONE if apart else stage)
+            batch.step(stage=stage)
             self.time += self.dt
             for name, array in live.items():
                 out[name][:, k] = array
@@ -122,7 +123,7 @@ class Stepper:
         """What the coming step looks at, so many steps after the start."""
         self.past[:], self.time[:], self.share = past, self.begin + num_done * self.dt, share
         self.lead = self._lead()
-        if self.pushed:
+        if self.pushed and not self.momentary:
             self._place()
 
     def prepare(self, command: Float[np.ndarray, "sims nu"]) -> None:
