@@ -16,7 +16,7 @@ def reliable(num_draws: int) -> float:
 
 
 def smooth(log_weights: Float[np.ndarray, " draws"]) -> tuple[Float[np.ndarray, " draws"], float]:
-    """Normalized log weights with the largest smoothed, and k-hat: the tail's shape, infinite where none is finite."""
+    """Normalized log weights with the largest smoothed, and k-hat: the tail's shape, infinite where it has none."""
     from arviz_stats.base.array import array_stats
 
     log_weights = np.asarray(log_weights, dtype=float)
@@ -31,7 +31,7 @@ def smooth(log_weights: Float[np.ndarray, " draws"]) -> tuple[Float[np.ndarray, 
     stats: Any = array_stats
     smoothed, k_hat = stats.psislw(-log_weights[finite])
     out[finite] = smoothed - logsumexp(smoothed)
-    return out, float(k_hat)
+    return out, np.inf if np.isnan(k_hat) else float(k_hat)  # all the weight is on a few
 
 
 def effective_draws(weights: Float[np.ndarray, " draws"]) -> float:

@@ -6,7 +6,7 @@ Pareto-smoothed. Where k-hat says that they fail, the proposal adapts, and at la
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ DEGREES = 5  # of freedom of the proposal
 ENOUGH = 100  # effective draws: the sds of a belief are then known to 7 %
 NUM_ROUNDS = 3  # of which the later ones adapt
 NUM_PARTICLES = 512
+WORST = 10.0  # k-hat of weights that are all on a few draws, which may be infinite
 SPARE = 8  # times as many draws of a Gaussian as are kept, so that some are within the walls
 
 LogDensity = Callable[[Float[np.ndarray, "points size"]], Float[np.ndarray, " points"]]
@@ -54,7 +55,7 @@ class Belief:
         """For diagnosis.json."""
         return {
             "method": self.method,
-            "k_hat": self.k_hat,
+            "k_hat": None if self.k_hat is None else min(self.k_hat, WORST),
             "draws": len(self.z),
             "evaluations": self.evaluations,
         }
@@ -63,7 +64,8 @@ class Belief:
 def believe(fit: Fit, share: float, seed: int, *, temper: Temper | None = None, num_draws: int = NUM_DRAWS) -> Belief:
     """The posterior of a hypothesis about its fit; `share` as in `evidence.effective_share`.
 
-    `temper` is called where importance sampling fails; without it the last adapted proposal stands, and k-hat says so.
+    `temper` is called where importance sampling fails; without it the last adapted proposal stands, or where few draws
+    count the Gaussian at the fit, and k-hat says so.
     """
     own, density, coordinates = _about(fit, share)
     if density.size == 0:
@@ -79,6 +81,8 @@ def believe(fit: Fit, share: float, seed: int, *, temper: Temper | None = None, 
             return drawn.tempered(own, temper, num_draws)
         except SamplingFailed:
             pass  # k-hat already says how far the draws can be trusted
+    if not trusted and drawn.effective < ENOUGH:  # a few draws in a bent valley would pass as its width
+        return replace(roughly(fit, share, seed, num_draws=num_draws), k_hat=drawn.k_hat, evaluations=len(drawn.x))
     return drawn.belief(own, "adapted", num_draws)
 
 

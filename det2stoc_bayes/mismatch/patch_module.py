@@ -18,6 +18,7 @@ from det2stoc_bayes.mismatch.effects.base import Effect, PlacedEffect
 
 Values = Mapping[str, float | int | str | Sequence[float] | np.ndarray]  # of an effect's parameters
 MOST_SHOWN = 6  # numbers of a vector that are written out for a reader
+WIDTH = 100  # of what is put on one line
 CLOCK = "opt.timestep"  # an effect that changes it makes the recorded clock another than the simulation's
 # Hook of an effect -> its table in effects.py, and the functions of the runtime that serve it.
 _COLUMNS = ("measure", "at_time", "arrays", "place_of")
@@ -53,6 +54,7 @@ _STEPS = {
 }
 _ALWAYS_TABLES = ("sample_time", "reading", "clock")
 _ALWAYS = ("Memory", "memory_of", "copy_state", *_COLUMNS)
+_MEMORIES = "MEMORIES = WeakKeyDictionary()  # data object -> what is remembered of it"
 _LOOP = """
     model = mujoco.MjModel.from_xml_path("patched.xml")
     data = mujoco.MjData(model)
@@ -98,12 +100,10 @@ def module_text(effects: Sequence[tuple[PlacedEffect, Values]], fields: Sequence
             tables[hook].append(_row(placed, values, hook, laws, f"P{number}"))
     parts = [
         _header(active, fields),
-        "\n".join(_imports(hooks)),
-        "\n\n".join(constants),
+        "\n\n".join(["\n".join(_imports(hooks)), *constants, _MEMORIES]),
         *laws.sources.values(),
         "\n".join(_table(_SERVED[h][0], tables[h]) for h in _SERVED if h in (*hooks, *_ALWAYS_TABLES)),
         _fields_table(fields) if fields else "",
-        "MEMORIES = WeakKeyDictionary()  # data object -> what is remembered of it",
         "BELIEVED = WeakKeyDictionary()  # model -> fields before any step" if "momentary" in hooks else "",
         *_runtime_sources(hooks, bool(fields)),
         _reset("momentary" in hooks, bool(fields)),
@@ -128,7 +128,8 @@ def _row(placed: PlacedEffect, values: Values, hook: str, laws: "_Laws", constan
         row.append(laws.beside(placed))
     if hook == "control":
         row.append(repr(placed.effect.memory(given)))
-    return f"({', '.join(row)})"
+    line = ", ".join(row)
+    return f"({line})" if len(line) < WIDTH else f"({''.join(f'\n        {cell},' for cell in row)}\n    )"
 
 
 class _Laws:
@@ -247,7 +248,12 @@ def _literal(value: float | int | str | Sequence[float] | np.ndarray) -> str:
     if isinstance(value, str):
         return repr(value)
     numbers = np.asarray(value, dtype=float)
-    return f"np.array({numbers.tolist()!r})" if numbers.ndim else f"np.float64({float(numbers)!r})"
+    if not numbers.ndim:
+        return f"np.float64({float(numbers)!r})"
+    line = repr(numbers.tolist())
+    if len(line) < WIDTH // 2:
+        return f"np.array({line})"
+    return f"np.array(\n{textwrap.indent(textwrap.fill(line, WIDTH, break_on_hyphens=False), ' ' * 8)}\n    )"
 
 
 def _table(name: str, rows: Sequence[str]) -> str:

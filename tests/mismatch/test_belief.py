@@ -197,12 +197,25 @@ def test_particles_where_importance_sampling_fails(shaped):
 
     found, whitened = shaped(ridge)
     alone, drawn = believe(found, 1.0, 0), believe(found, 1.0, 0, temper=tempered)
-    assert alone.method == "adapted" and alone.k_hat > reliable(alone.evaluations)
+    assert alone.method == "laplace" and alone.k_hat > reliable(alone.evaluations)
     assert drawn.method == "smc"
     x = whitened(drawn.z)
     # Measured: 0.047 and 0.95.
     np.testing.assert_allclose((x[:, 1] - x[:, 0] ** 2).std(), 0.05, rtol=0.2)
     np.testing.assert_allclose(x[:, 0].std(), 1.0, rtol=0.2)
+
+
+def test_a_few_draws_in_a_bent_valley_do_not_pass_as_its_width(shaped):
+    """Ten thousand times as long as wide: no draw of a Gaussian lies in it but by chance."""
+
+    def ridge(x):
+        return stats.norm.logpdf(x[:, 0]) + stats.norm.logpdf(x[:, 1], 30 * x[:, 0] ** 2, 1e-4)
+
+    found, whitened = shaped(ridge)
+    drawn = believe(found, 1.0, 0)
+    assert drawn.method == "laplace" and drawn.terms is None
+    assert drawn.k_hat > reliable(drawn.evaluations) and 0.7 < drawn.summary()["k_hat"] <= 10.0
+    assert whitened(drawn.z)[:, 0].std() > 0.8
 
 
 # --- populations ----------------------------------------------------------------------------------

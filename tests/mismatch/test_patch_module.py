@@ -5,6 +5,7 @@ import importlib.util
 import itertools
 import subprocess
 import sys
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ from conftest import ARM, FREE, MOTORS, blank_recording, make_study, model_xml, 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.mismatch.effects import CATALOGUE, Effect, EffectParameter, PlacedEffect, Typical
 from det2stoc_bayes.mismatch.patch import make_patch
+from det2stoc_bayes.mismatch.patch_module import FieldWrite, module_text
 from det2stoc_bayes.segments import cut, from_pieces
 from det2stoc_bayes.simulator import Simulator
 
@@ -168,6 +170,20 @@ def test_reproduces_the_engine(tmp_path, form, integrator):
     else:
         assert effect.law_text in patch.module
         assert imports(patch.module) <= {"types", "weakref", "mujoco", "numpy"}
+
+
+def test_its_text_is_in_shape(tmp_path):
+    """As the rules of this repository have it, so that it may lie in a folder that is checked."""
+    study = make_study(tmp_path / "study", model_xml(ARM_TIP, MOTORS + SENSORS, option=AIR.format("Euler")))
+    model, folder = Simulator(study).model, tmp_path / "modules"
+    texts = {form: module_text([(place_form(model, form), VALUES[form])]) for form in FORMS}
+    texts["fields"] = module_text([], [FieldWrite("body_mass", (1,), [2.0])])
+    folder.mkdir()
+    for name, text in texts.items():
+        (folder / f"{name}.py").write_text(text or "")
+    rules = ["--no-cache", "--config", str(Path(__file__).parents[2] / "pyproject.toml")]
+    done = subprocess.run([sys.executable, "-m", "ruff", "check", *rules, folder], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])

@@ -16,8 +16,8 @@ class DryFriction(JointEffect):
 
     def momentary(self, p, fields, s, at, xp):
         """Adds the present size to the frictionloss."""
-        loss = fields["dof_frictionloss"]
-        return {"dof_frictionloss": loss + self.friction(p, s, xp)[..., None] * onehot(loss.shape[-1], at.dof)}
+        loss, more = fields["dof_frictionloss"], self.friction(p, s, xp)
+        return {"dof_frictionloss": loss + more[..., None] * onehot(loss.shape[-1], at.dof)}
 
 
 class StribeckFriction(DryFriction):
