@@ -18,6 +18,7 @@ HUES = (212, 14, 142, 278, 38, 186, 328, 96, 250, 60)
 MOST_SHOWN = 4  # parameters in pairs
 MOST_POINTS = 400  # of a set of draws in a panel
 MOST_LAG = 60
+PAD = 0.05  # of the intervals' range, left free to either side
 ROW = 22  # pixels a line of the forest
 LEVEL = 0.95  # of intervals, and of the band that ranks of one posterior stay in (each by itself)
 
@@ -30,9 +31,10 @@ def colour(number: int) -> str:
 def forest_figure(posteriors: Mapping[str, Posterior], name: str) -> Spec:
     """Median and intervals of a parameter under every method that has it, the first on top."""
     rows = [(number, label, np.ravel(p[name])) for number, (label, p) in enumerate(posteriors.items()) if name in p]
-    traces = []
+    traces, ends = [], []
     for y, (number, label, draws) in enumerate(reversed(rows)):
         low, middle, high = np.quantile(draws, [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2])
+        ends += [float(low), float(high)]
         inner = np.quantile(draws, [0.25, 0.75])
         style: Spec = {"hovertemplate": f"%{{x:.4~g}}<extra>{label}</extra>"}
         traces.append(canvas.line(np.array([low, high]), np.full(2, y), label, colour(number), width=1.6, **style))
@@ -41,7 +43,10 @@ def forest_figure(posteriors: Mapping[str, Posterior], name: str) -> Spec:
         traces.append(canvas.line(np.array([middle]), np.array([y]), label, colour(number), **style, **dot))
     labels = [label for _, label, _ in reversed(rows)]
     ticks = {"tickmode": "array", "tickvals": list(range(len(rows))), "ticktext": labels, "automargin": True}
-    axes = {"xaxis": canvas.axis(), "yaxis": canvas.axis(**ticks, range=[-0.7, len(rows) - 0.3], showgrid=False)}
+    pad = PAD * (max(ends) - min(ends)) or 0.01 * abs(min(ends)) or 1e-9
+    reach = [min(ends) - pad, max(ends) + pad]
+    y_axis = canvas.axis(**ticks, range=[-0.7, len(rows) - 0.3], showgrid=False)
+    axes = {"xaxis": canvas.axis(range=reach), "yaxis": y_axis}
     return {"data": traces, "layout": canvas.layout(70 + ROW * len(rows), **axes, hovermode="closest")}
 
 

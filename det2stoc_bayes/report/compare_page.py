@@ -21,7 +21,7 @@ BADGES = {
 }  # fmt: skip
 COLUMNS = (
     "draws", "R-hat", "ESS", "ESS / s", "divergences", "BFMI", "k-hat", "C2ST", "Wasserstein [sd]", "KL [nat]",
-    "mean [sd]", "sd [%]", "predictive p", "LOO [nat]", "compile [s]", "run [s]", "simulations", "gradients",
+    "mean [sd]", "sd [%]", "predictive p", "LOO [nat]", "run [s]", "simulations",
 )  # fmt: skip
 MOST_PARAMETERS = 12  # in the forest
 
@@ -52,6 +52,7 @@ def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) ->
             for cost, title in (("seconds_run", "run [s]"), ("simulations", "simulations"))
         ],
         runs=drawn,
+        efforts=[(row.label, _number(row.seconds_compile), str(row.gradients)) for row in found.rows],
     )  # fmt: skip
 
 
@@ -78,9 +79,8 @@ def cells(row: Row) -> list[str]:
         str(row.num_draws or numbers.MISSING),
         *(_number(value) for value in (*chains, *distances, row.predictive_p)),
         loo,
-        *(_number(value) for value in (row.seconds_compile, row.seconds_run)),
+        _number(row.seconds_run),
         str(row.simulations),
-        str(row.gradients),
     ]
 
 

@@ -1,14 +1,17 @@
 """What the page says in words and tables: the finding and the screening, as text ready to print."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import xarray as xr
+from markupsafe import Markup, escape
 
 from det2stoc_bayes.report import numbers
 
 BADGES = {"mismatch": "Mismatch found", "no_mismatch": "No mismatch found", "inconclusive": "Inconclusive"}
 PEOPLE = {"coulomb": "Coulomb", "stribeck": "Stribeck", "magnus": "Magnus"}
+SHOWN = 0.005  # probability: what is smaller stands as under one percent
 
 
 def words(name: str) -> str:
@@ -27,6 +30,12 @@ def place(element: Mapping[str, Any] | None) -> str:
         return ""
     kind, name = element["kind"], element["name"]
     return name if kind == name or kind == "sensor" and name == "time" else f"{kind} {name}"
+
+
+def linked(text: str, word: str, target: str) -> Markup:
+    """The text with its first such word as a link within the page."""
+    link = f'<a href="#{target}">{word}</a>'
+    return Markup(re.sub(rf"\b{word}\b", link, str(escape(text)), count=1))
 
 
 def parameter_rows(parameters: Mapping[str, Any]) -> list[dict[str, str]]:
@@ -66,8 +75,8 @@ def improvement(fit: Mapping[str, Any], units: Mapping[str, str]) -> list[dict[s
     return sorted(rows, key=lambda row: -row["ratio"])
 
 
-def screening_rows(fit: xr.DataTree) -> list[dict[str, Any]]:
-    """The screened candidates by probability, then log evidence."""
+def screening_rows(fit: xr.DataTree, finding: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The screened candidates by probability, classes together, then by log evidence."""
     if "screening" not in fit:
         return []
     table = fit["screening"].to_dataset()
@@ -78,16 +87,46 @@ def screening_rows(fit: xr.DataTree) -> list[dict[str, Any]]:
         probability = float(one.get("probability", "nan"))
         rows.append(
             {
+                "key": (str(one["name"]), str(one["kind"]), str(one["element"])),
+                "chance": probability if probability >= SHOWN else 0.0,
                 "name": words(str(one["name"])),
                 "place": place({"kind": str(one["kind"]), "name": str(one["element"])}),
                 "probability": numbers.percent(probability),
                 "bar": 100 * probability if probability >= 0 else 0.0,
                 "log_evidence": numbers.nats(evidence),
                 "size": str(one.get("size", "")) or numbers.MISSING,
-                "order": (-probability if probability >= 0.005 else 0.0, -evidence),
+                "same": "",
+                "evidence": evidence,
             }
         )
-    return sorted(rows, key=lambda row: row["order"])
+    rows.sort(key=lambda row: (-row["chance"], -row["evidence"]))
+    _one_probability_a_class(rows, finding)
+    return sorted(rows, key=lambda row: (-row["chance"], len(row["same"])))  # stable: by evidence within each
+
+
+def _one_probability_a_class(rows: Sequence[dict[str, Any]], finding: Mapping[str, Any]) -> None:
+    """Marks rows that share their class's probability with the member that the finding names.
+
+    A class is known by its probability, which is the same number in all of its rows. The finding names one member of
+    each, and all equivalents of an effect: what else is in an effect's class contains one of these.
+    """
+    effects = finding["effects"]
+    told = [*effects, *finding["candidates"], *(other for effect in effects for other in effect["alternatives"])]
+    named = [_key(one) for one in told]
+    equal = {_key(effect): {_key(other) for other in effect["equivalent"]} for effect in effects}
+    for chance in {row["chance"] for row in rows} - {0.0}:
+        alike = [row for row in rows if row["chance"] == chance]
+        first = min(alike, key=lambda row: named.index(row["key"]) if row["key"] in named else len(named))
+        for row in alike:
+            if row is first or row["key"] in named:
+                continue
+            larger = first["key"] in equal and row["key"] not in equal[first["key"]]
+            row["same"] = "same class, contains a simpler one" if larger else "same class"
+
+
+def _key(one: Mapping[str, Any]) -> tuple[str, str, str]:
+    element = one.get("element") or {}
+    return one["name"], element.get("kind", ""), element.get("name", "")
 
 
 def listed_candidates(entries: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -47,6 +47,7 @@ def diagnosis_page(
         title=f"{study_name}: {contents.BADGES[finding['verdict']].lower()}",
         study=study_name,
         finding=finding,
+        summary=contents.linked(numbers.tied(finding["summary"]), "psi", "word-psi"),
         verdict=finding["verdict"],
         badge=contents.BADGES[finding["verdict"]],
         names=names,
@@ -57,9 +58,10 @@ def diagnosis_page(
         bayes_factor=numbers.bayes_factor(finding["evidence"]["log10_bayes_factor"]),
         density=_density(finding["fit"]),
         belief=belief_lines.belief_lines(finding),
-        screening=contents.screening_rows(fit),
-        recordings=_recordings(rollouts, names),
+        screening=contents.screening_rows(fit, finding),
+        recordings=_recordings(rollouts, names, replay.worst(moving)),
         replay=moving and page.embedded(moving),
+        factors=replay.FACTORS,
         enlarged=replay.enlarged(moving),
         traced=replay.traced(moving),
         marked=moving is not None and bool(moving["marks"]),
@@ -99,8 +101,13 @@ def _units(rollouts: Mapping[str, xr.Dataset]) -> dict[str, str]:
     return found
 
 
-def _recordings(rollouts: Mapping[str, xr.Dataset], names: Mapping[str, str]) -> list[dict[str, Any]]:
-    """One entry a recording shown: its figures, the worst predicted channels apart from the others."""
+def _recordings(
+    rollouts: Mapping[str, xr.Dataset], names: Mapping[str, str], worst: Mapping[str, float]
+) -> list[dict[str, Any]]:
+    """One entry a recording shown: its figures, the worst predicted channels apart from the others.
+
+    `worst` holds the moments [s] at which those that are replayed are shown first.
+    """
     stems, points = series.selection(dict(rollouts))
     shown = []
     for stem in stems:
@@ -112,6 +119,7 @@ def _recordings(rollouts: Mapping[str, xr.Dataset], names: Mapping[str, str]) ->
                 "stem": stem,
                 "begin": float(data["time"].min()),
                 "end": float(data["time"].max()),
+                "worst": worst.get(stem, series.worst_moment(data)),
                 "held_out": held_out,
                 "misfit": [numbers.number(series.misfit(data, which), 2) for which in names],
                 "condition": "condition" in data and bool(data["condition"].any()),

@@ -15,6 +15,7 @@ from det2stoc_bayes.report.contents import words
 EFFECT_PARAMETER = re.compile(r"(\w+)\[(.*)\]\.(.+)")
 CHAINS = ("chain", "draw")
 MAX_COMPONENTS = 12
+BEYOND = 3  # bandwidths that a density goes beyond its outermost draws
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ def density_figure(marginal: Marginal, names: dict[str, str]) -> Spec:
     """Densities of one scalar before and after, and of its prior where the fit holds it."""
     every = {"prior": marginal.prior, "before": marginal.before, "after": marginal.after}
     shown = {which: draws for which, draws in every.items() if draws is not None and which in ("prior", *names)}
-    curves = {which: _density(draws) for which, draws in shown.items()}
+    bounds = _bounds(np.concatenate(list(shown.values())))
+    curves = {which: _density(draws, *bounds) for which, draws in shown.items()}
     traces = []
     for which, (x, height) in curves.items():
         colour, prior = canvas.colour_of(which), which == "prior"
@@ -83,17 +85,22 @@ def density_figure(marginal: Marginal, names: dict[str, str]) -> Spec:
         style: Spec = {"line": {"dash": "dot"}} if prior else filled
         traces.append(canvas.line(x, height, names.get(which, "prior"), colour, **style))
     fitted = [which for which in shown if which != "prior"]
-    values = np.concatenate([shown[which] for which in fitted])
+    values = np.concatenate([curves[which][0] for which in fitted])
     low, high = float(values.min()), float(values.max())
-    pad = 0.08 * (high - low) or 0.01 * abs(low) or 1e-9
+    pad = 0.02 * (high - low) or 0.01 * abs(low) or 1e-9
     peak = 1.08 * max(float(curves[which][1].max()) for which in fitted)
-    margin = {"l": 8, "r": 8, "t": 6, "b": 38 if marginal.unit else 26}
-    x_axis = canvas.axis(marginal.unit, range=[low - pad, high + pad], nticks=5)
+    margin = {"l": 28, "r": 28, "t": 6, "b": 38 if marginal.unit else 26}
+    x_axis = canvas.axis(marginal.unit, range=[low - pad, high + pad], nticks=4, tickangle=0)
     y_axis = {"visible": False, "range": [0, peak]}
     return {"data": traces, "layout": canvas.layout(190, margin=margin, xaxis=x_axis, yaxis=y_axis)}
 
 
-def _density(draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(draws: np.ndarray) -> tuple[float, float]:
+    """Within which densities are drawn: draws of one sign alone are taken to be of what has one."""
+    return 0.0 if draws.min() >= 0 else -np.inf, 0.0 if draws.max() <= 0 else np.inf
+
+
+def _density(draws: np.ndarray, lowest: float, highest: float) -> tuple[np.ndarray, np.ndarray]:
     """Points of the density's curve; a spike of height one where all draws are equal."""
     mean = float(draws.mean())
     if np.ptp(draws) <= 1e-9 * abs(mean):
@@ -101,7 +108,9 @@ def _density(draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Few weighted points give many equal draws, which a bandwidth that counts them all would show as spikes.
     distinct = len(np.unique(draws))
     equal = {"bw": 0.9 * float(draws.std()) * distinct**-0.2} if distinct < len(draws) else {}
-    x, height = array_stats.kde(draws, **equal)[:2]
+    width = equal.get("bw") or float(array_stats.kde(draws)[2])
+    ends = max(draws.min() - BEYOND * width, lowest), min(draws.max() + BEYOND * width, highest)
+    x, height = array_stats.kde(draws, bw=width, custom_lims=ends)[:2]
     return x[::2], height[::2]
 
 

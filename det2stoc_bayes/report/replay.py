@@ -12,6 +12,8 @@ PARTS = ("recorded", "before", "after")
 SMALLEST = 0.03  # of the scene's diameter: bodies that are smaller are drawn larger
 ELEVATION, HIGHER = np.radians(16.0), np.radians(28.0)  # of the view, and by how much more over motion in a level plane
 ASIDE = np.radians(24.0)  # of the side from which most motion is seen
+FACTORS = (1, 3, 10, 30)  # by which differences can be drawn larger
+VISIBLE = 0.1  # of a body's extent: a difference that is seen
 STILL = 1e-6  # m: what moves less has no way
 DIGITS = 5
 
@@ -30,6 +32,8 @@ def scene(fit: xr.DataTree, names: Mapping[str, str], finding: Mapping[str, Any]
     points = _centres(seen, poses.astype(float))
     low, high = _bounds(points, sizes[seen["of_body"].values >= 0])
     radius = max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
+    scales = _scales(seen, sizes, radius)
+    starts = {stem: _start(seen, data, names, sizes, scales) for stem, data in motions.items()}
     ways = {}
     if finding["where"]["when"]:
         reach = _reaching(seen, sizes)
@@ -37,12 +41,12 @@ def scene(fit: xr.DataTree, names: Mapping[str, str], finding: Mapping[str, Any]
     return {
         "shapes": _shapes(seen, meshes),
         "bodies": seen.sizes["bodies"],
-        "scales": _numbers(_scales(seen, sizes, radius)),
+        "scales": _numbers(scales),
         "centre": _numbers(0.5 * (low + high)),
         "floor": float(low[2]),
         "radius": float(f"{radius:.{DIGITS}g}"),
         "view": _numbers(_view(points)),
-        "motions": {stem: _motion(data, names) | ways.get(stem, {}) for stem, data in motions.items()},
+        "motions": {stem: _motion(data, names) | starts[stem] | ways.get(stem, {}) for stem, data in motions.items()},
         "marks": _marks(finding["effects"]),
     }
 
@@ -57,6 +61,12 @@ def traced(told: Mapping[str, Any] | None) -> bool:
     return told is not None and any("way" in motion for motion in told["motions"].values())
 
 
+def worst(told: Mapping[str, Any] | None) -> dict[str, float]:
+    """When [s] the first model is farthest from the recording, of every motion that was recorded."""
+    motions = {} if told is None else told["motions"]
+    return {stem: motion["worst"] for stem, motion in motions.items() if "worst" in motion}
+
+
 def _parts(motion: xr.Dataset, names: Mapping[str, str]) -> list[str]:
     """What is shown of a motion: `after` only where the page speaks of it."""
     return [part for part in PARTS if part in motion and (part == "recorded" or part in names)]
@@ -66,6 +76,44 @@ def _motion(motion: xr.Dataset, names: Mapping[str, str]) -> dict[str, Any]:
     time = motion["time"].values
     poses = {part: _packed(motion[part].transpose("frame", "body", "pose").values) for part in _parts(motion, names)}
     return {"time": _packed(time - time[0]), "begin": float(time[0]), **poses}
+
+
+def _start(
+    seen: xr.Dataset,
+    motion: xr.Dataset,
+    names: Mapping[str, str],
+    sizes: Float[np.ndarray, " geoms"],
+    scales: Float[np.ndarray, " bodies"],
+) -> dict[str, Any]:
+    """When the first model is farthest from the recording, and the least factor by which that is seen.
+
+    No factor where there is one model only: what it leaves is noise.
+    """
+    if not {"recorded", "before"} <= set(motion):
+        return {}
+    recorded, before = (
+        motion[part].transpose("frame", "body", "pose").values.astype(float) for part in ("recorded", "before")
+    )
+    moving = seen["of_body"].values >= 0
+    of_body = seen["of_body"].values[moving]
+    half = np.arccos(np.clip(np.abs((recorded[..., 3:] * before[..., 3:]).sum(-1)), 0.0, 1.0))[:, of_body]
+    turned = np.where(seen["kind"].values[moving] == "sphere", 0.0, 2 * half)  # a sphere looks the same
+    apart = np.linalg.norm(_centres(seen, before) - _centres(seen, recorded), axis=2) + sizes[moving] * turned
+    most = np.nan_to_num(apart / (_extents(seen, sizes) * scales)[of_body], posinf=0.0).max(1)
+    found = {"worst": float(motion["time"].values[most.argmax()])}
+    if "after" not in names:
+        return found
+    return found | {"factor": next((f for f in FACTORS if f * most.max() >= VISIBLE), FACTORS[-1])}
+
+
+def _extents(seen: xr.Dataset, sizes: Float[np.ndarray, " geoms"]) -> Float[np.ndarray, " bodies"]:
+    """The largest side [m] of a box about the shapes of each body."""
+    of_body, position = seen["of_body"].values, seen["position"].values
+    found = np.full(seen.sizes["bodies"], np.inf)  # of a body without shapes, of which nothing is seen
+    for body in np.unique(of_body[of_body >= 0]):
+        here, size = position[of_body == body], sizes[of_body == body, None]
+        found[body] = max(float(((here + size).max(0) - (here - size).min(0)).max()), 1e-12)
+    return found
 
 
 def _reaching(seen: xr.Dataset, sizes: Float[np.ndarray, " geoms"]) -> list[int]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from det2stoc_bayes import posterior
+from det2stoc_bayes.doubts import misfit
 from det2stoc_bayes.report import contents, numbers
 from det2stoc_bayes.report.summary import predicted, summarize
 
@@ -71,7 +72,10 @@ def of_fit(folder: Path) -> Told:
         "Held-out log density a transition [nat]": [Fact(h.recording, numbers.number(h.matched)) for h in held],
     }
     line = ", ".join(f"{r.name} {numbers.plus_minus(r.mean, r.sd)}" for r in rows[:4])
-    return str(tree.attrs.get("method", "")), line or f"{len(held)} recordings predicted", _sections(sections)
+    line = line or f"{len(held)} recordings predicted"
+    if misfit(tree):
+        line += f"; misfit {_value(tree.attrs['noise_inflation'])} × noise: do not trust the widths"
+    return str(tree.attrs.get("method", "")), line, _sections(sections)
 
 
 def of_comparison(told: Mapping[str, Any]) -> Told:
@@ -86,11 +90,20 @@ def of_comparison(told: Mapping[str, Any]) -> Told:
         "About": [Fact("reference", reference["label"] if reference else numbers.MISSING)],
         "Verdicts": [Fact(row["label"], f"{row['verdict']}: {row['why']}") for row in told["rows"]]
         + [Fact(label, f"could not run: {why}") for label, why in told["failed"].items()],
+        "Against the model": [Fact("whatever the method", doubt) for doubt in told.get("doubts") or ()],
     }
     for title, key in columns.items():
         sections[title] = [Fact(r["label"], numbers.number(r[key])) for r in told["rows"] if r.get(key) is not None]
     line = f"{', '.join(trusted)} can be trusted" if trusted else "no method can be trusted as it ran"
-    return "trusted" if trusted else "not trusted", line, _sections(sections)
+    verdict = "trusted" if trusted else "not trusted"
+    if told.get("doubts"):
+        verdict = "model in doubt" if trusted else verdict
+        line += (
+            " to draw the posterior, of a model that the recordings speak against"
+            if trusted
+            else ", and the recordings speak against the model"
+        )
+    return verdict, line, _sections(sections)
 
 
 def of_calibration(told: Mapping[str, Any]) -> Told:

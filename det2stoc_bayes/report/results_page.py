@@ -12,7 +12,7 @@ from det2stoc_bayes.report.results import Result
 BADGES = {
     "mismatch": "mismatch", "not trusted": "mismatch", "not calibrated": "mismatch", "unreadable": "mismatch",
     "no_mismatch": "no_mismatch", "trusted": "no_mismatch", "calibrated": "no_mismatch",
-    "inconclusive": "inconclusive",
+    "inconclusive": "inconclusive", "model in doubt": "inconclusive",
 }  # fmt: skip
 
 

@@ -51,6 +51,12 @@ def channel_order(rollout: xr.Dataset) -> list[str]:
     return [str(name) for name in rollout["channel"].values[order]]
 
 
+def worst_moment(rollout: xr.Dataset) -> float:
+    """The time [s] at which the model before is farthest off, by the whitened residuals of all channels."""
+    squares = np.nan_to_num(rollout["residual_before"].transpose("sample", "channel").values ** 2, posinf=0.0)
+    return float(rollout["time"].values[squares.sum(1).argmax()])
+
+
 def selection(rollouts: dict[str, xr.Dataset]) -> tuple[list[str], int]:
     """The recordings that the page can hold, worst first within each role, and the points each trace gets.
 

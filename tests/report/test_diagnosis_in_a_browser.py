@@ -42,13 +42,43 @@ def loaded(browser: Browser, url: str) -> Iterator[Page]:
 
 @pytest.fixture
 def page(loaded: Page) -> Page:
-    """The same as it was when it was opened."""
+    """The same, at the recording's begin."""
     loaded.locator("#recording").select_option(index=0)
+    loaded.evaluate("clock.set(clock.state.begin)")
     loaded.locator("#magnify").select_option("1")
     loaded.locator("#view").click()
     loaded.locator("#recording").focus()
     loaded.mouse.move(5, 5)
     return loaded
+
+
+@pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
+def test_it_opens_where_most_is_to_be_seen(browser, url, fit) -> None:
+    with opened(browser, url) as page:
+        begin = float(page.locator(".recording").first.get_attribute("data-worst") or "nan")
+        until(page, "document.getElementById('magnify').value === '3'")
+        assert _now(page) == pytest.approx(begin, abs=0.02) and begin > 0
+        assert not page.evaluate("clock.state.playing")
+        assert page.locator("#stage-note").inner_text() == "Differences are drawn 3 times as large as they are."
+        assert "+ and − to zoom, space to play, 0 to reset the view" in page.locator(".moment").inner_text()
+        page.locator("#magnify").select_option("10")
+        assert "10 times" in page.locator("#stage-note").inner_text()
+        page.locator("#next").press("Enter")
+        page.locator("#previous").press("Enter")
+        assert page.locator("#magnify").input_value() == "10"  # the reader's choice stays
+        page.locator("a[href='#word-psi']").click()
+        until(page, "document.querySelector('details.words').open")
+
+
+@pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
+def test_explanations_fit_on_a_phone_and_what_does_not_fades(browser, url) -> None:
+    with opened(browser, url, PHONE, "dark") as page:
+        table = page.locator("table.explanations").first
+        assert table.evaluate("(one) => one.parentElement.scrollWidth <= one.parentElement.clientWidth")
+        tall = table.evaluate("(one) => [...one.rows].map((row) => row.offsetHeight)")
+        assert max(tall) < 130
+        for place in ("nav ul", ".scroll"):
+            assert "local" in page.locator(place).first.evaluate("(one) => getComputedStyle(one).backgroundAttachment")
 
 
 def _now(page: Page) -> float:

@@ -44,6 +44,8 @@ def test_the_list_filters_and_two_are_compared(browser, url, size, scheme) -> No
         for name in ("first", "second"):
             page.get_by_label(f"Choose {name}").press("Space")
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        links = page.locator("a.compare")
+        assert links.count() == 2 and links.nth(1).get_attribute("href") == links.nth(0).get_attribute("href")
         page.locator("#compare").press("Enter")
         until(page, "document.getElementById('differing')?.checked === false")
         assert sorted(page.locator("h1").inner_text().split(" beside ")) == ["first", "second"]
@@ -53,3 +55,13 @@ def test_the_list_filters_and_two_are_compared(browser, url, size, scheme) -> No
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         page.get_by_role("link", name="first").click()
         until(page, "document.body.innerText === 'first'")
+
+
+def test_enter_in_a_ticked_box_opens_the_comparison(browser, url) -> None:
+    with opened(browser, url) as page:
+        page.get_by_label("Choose first").press("Space")
+        page.get_by_label("Choose first").press("Enter")  # one is no comparison
+        page.get_by_label("Choose second").press("Space")
+        assert "Enter compares them" in page.locator("#told").inner_text()
+        page.get_by_label("Choose second").press("Enter")
+        until(page, "document.getElementById('differing')?.checked === false")

@@ -136,6 +136,8 @@
     request();
   }
 
+  let shown = null; // the motion as it was told
+  let byHand = false; // the reader chose how differences are drawn
   let motion = null;
   const poses = {};
   const from = new THREE.Quaternion();
@@ -199,15 +201,24 @@
   function choose(part) {
     const stem = part.dataset.stem;
     const chosen = Object.hasOwn(told.motions, stem) ? told.motions[stem] : null;
+    shown = chosen;
     motion = chosen && { time: floats(chosen.time).map((t) => t + chosen.begin) };
     PARTS.forEach((one) => { poses[one] = chosen?.[one] ? floats(chosen[one]) : null; });
     trace(chosen);
     stage.hidden = !chosen;
     magnify.disabled = !chosen?.recorded;
-    if (!chosen) note.textContent = "This recording has no replay: it is kept for the six that are predicted worst.";
-    else if (!chosen.recorded) note.textContent = "Not all positions were recorded: the simulators alone.";
-    else note.textContent = chosen.after ? "" : stage.dataset.alike;
+    if (!byHand) magnify.value = String(chosen?.factor ?? 1);
+    tell();
     at(clock.state.now);
+  }
+
+  function tell() {
+    if (!shown) note.textContent = "This recording has no replay: it is kept for the six that are predicted worst.";
+    else if (!shown.recorded) note.textContent = "Not all positions were recorded: the simulators alone.";
+    else {
+      const larger = magnify.value === "1" ? "" : `Differences are drawn ${magnify.value} times as large as they are.`;
+      note.textContent = [shown.after ? "" : stage.dataset.alike, larger].filter(Boolean).join(" ");
+    }
   }
 
   function home() {
@@ -265,7 +276,11 @@
   new ResizeObserver(request).observe(stage);
   document.addEventListener("themechange", paint);
   page.on("recording", choose);
-  magnify.addEventListener("change", () => at(clock.state.now));
+  magnify.addEventListener("change", () => {
+    byHand = true;
+    tell();
+    at(clock.state.now);
+  });
   page.on("parts", () => at(clock.state.now));
   clock.on((state) => at(state.now));
   camera.aspect = (stage.clientWidth || 16) / (stage.clientHeight || 10);

@@ -105,7 +105,7 @@ const clock = (() => {
     [state.begin, state.end] = [Number(part.dataset.begin), Number(part.dataset.end)];
     [slider.min, slider.max] = [state.begin, state.end];
     slider.step = (state.end - state.begin) / 300;
-    set(state.begin);
+    set(Number(part.dataset.worst)); // where most is to be seen
   });
   slider.addEventListener("input", () => { run(false); set(Number(slider.value)); });
   play.addEventListener("click", () => run(!state.playing));
