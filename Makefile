@@ -5,7 +5,7 @@ UV_VERSION := 0.13.8
 BIN := .venv/bin
 READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
 
-.PHONY: help test test-long test-browser browser vendor notebooks docs lint format demo bench real stripped amortized \
+.PHONY: help env test test-long test-browser browser vendor notebooks docs lint format demo bench real stripped amortized \
 	tuning compare compare-sbi clean
 NAMES := pendulum_multiarm servo_xl330 ball_drops
 STUDIES ?= ../shared/studies
@@ -13,6 +13,7 @@ BENCHMARKS := bad_input sysid_silence transitions
 .DELETE_ON_ERROR:
 
 help:
+	@echo "make env     .venv, with every version pinned by uv.lock"
 	@echo "make test    lint, types and tests"
 	@echo "make test-long  the tests that take a minute each, which make test leaves out"
 	@echo "make browser  install a Chromium for the tests of pages, where apt-get can"
@@ -31,6 +32,8 @@ help:
 	@echo "make compare  amortized beside exact posteriors: linear_gaussian, pendulum, cartpole"
 	@echo "make compare-sbi  npe on problems of the SBI benchmark, by the benchmark's own measure"
 	@echo "make clean   remove .venv and caches; results in out/ stay"
+
+env: $(READY)
 
 test: lint
 	$(BIN)/python -m pytest

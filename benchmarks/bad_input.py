@@ -227,6 +227,12 @@ def outcome(case: Case, folder: Path, command: str = "check") -> tuple[int, list
     return shown.exit_code, said
 
 
+def row(case: Case, code: int, said: list[str], folder: Path) -> str:
+    """A case in the table."""
+    text = "<br>".join(said).replace(f"{folder}/", "").replace("|", "\\|")
+    return f"| {case.kind} | {'E' if code == 2 else 'W' if code == 0 else code} | {text} |"
+
+
 def table() -> str:
     """Markdown: a row a case."""
     rows = [
@@ -238,9 +244,7 @@ def table() -> str:
     rows += ["| what is wrong | | what `det2stoc check` says |", "|---|---|---|"]
     for case in CASES:
         with tempfile.TemporaryDirectory() as folder:
-            code, said = outcome(case, Path(folder))
-            text = "<br>".join(said).replace(folder + "/", "").replace("|", "\\|")
-            rows.append(f"| {case.kind} | {'E' if code == 2 else 'W' if code == 0 else code} | {text} |")
+            rows.append(row(case, *outcome(case, Path(folder)), Path(folder)))
     return "\n".join(rows) + "\n"
 
 

@@ -8,21 +8,20 @@ import json
 import sys
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
+from det2stoc_bayes.cli_given import KINDS, load, made_by, study_or_problem
 from det2stoc_bayes.cli_help import EXAMPLES, SHELL, experiments, methods, starting
 from det2stoc_bayes.errors import Det2StocError, listing
 from det2stoc_bayes.files import check_folder
-from det2stoc_bayes.models import PROBLEMS, VECTORS, no_study
+from det2stoc_bayes.models import VECTORS
 from det2stoc_bayes.streams import reporting, show, show_report
-
-if TYPE_CHECKING:
-    import det2stoc_bayes.study  # a dotted name, so that the checker of the tests can look it up
 
 LEAST_DRAWS, MOST_DRAWS, MOST_SEED = 4, 10_000_000, 2**63 - 1
 REFINED = "svi+psis for a refined one"
+METHODS = listing(methods(), 20)
 EQUAL = "as many more as make chains equally long"
 
 app = typer.Typer(
@@ -36,7 +35,6 @@ app = typer.Typer(
 )
 
 StudyFolder = Annotated[Path, typer.Argument(metavar="STUDY", help="The study's folder.", show_default=False)]
-KINDS = ("a study's folder", *PROBLEMS)
 StudyOrProblem = Annotated[
     str, typer.Argument(metavar="STUDY|PROBLEM", help=f"One of: {listing(KINDS)}.", show_default=False)
 ]
@@ -66,7 +64,7 @@ def check(study: StudyFolder, seed: Seed = 0, as_json: Json = False, debug: Debu
     with reporting(debug) as stages:
         from det2stoc_bayes import identifiability, tables
 
-        checked = identifiability.check(_load(study), progress=stages)
+        checked = identifiability.check(load(study), progress=stages)
     show(tables.check_json(checked) if as_json else tables.check_tables(checked), as_json)
 
 
@@ -75,7 +73,7 @@ def fit(
     study: StudyFolder,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where fit.nc goes.", show_default=False)],
     method: Annotated[
-        str, typer.Option(metavar="NAME", help="An inference method.", autocompletion=starting(methods))
+        str, typer.Option(metavar="NAME", help=f"One of: {METHODS}.", autocompletion=starting(methods))
     ] = "nuts",
     engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
     num_samples: Annotated[int, typer.Option(min=LEAST_DRAWS, max=MOST_DRAWS, help=f"Draws in all; {EQUAL}.")] = 1000,
@@ -94,11 +92,13 @@ def fit(
         from det2stoc_bayes.report.summary import predicted, summarize
 
         get_method(method, "--method")  # a name that does not exist is not worth reading a study for
-        believed = _load(study)
+        believed = load(study)
         options = {"seed": seed, "engine": engine, "num_samples": num_samples, "progress": stages}
         options |= {"refine": refine} if refine != "none" else {}
         tree = verbs.fit(believed, method, **options)
         rows, told, path = summarize(tree), predicted(tree), out / "fit.nc"
+        if path.is_file():
+            warnings.warn(f"{path}{made_by(path)} is replaced", StudyWarning, stacklevel=1)
         posterior.save(tree, path)
         for doubt in doubts(tree):
             warnings.warn(doubt, StudyWarning, stacklevel=1)
@@ -114,7 +114,7 @@ def compare(
     methods: Annotated[
         str,
         typer.Option(
-            metavar="A,B,...", help=f"Inference methods; {REFINED}.", autocompletion=starting(methods, listed=True)
+            metavar="A,B,...", help=f"Of: {METHODS}; {REFINED}.", autocompletion=starting(methods, listed=True)
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where runs and report go.", show_default=False)],
@@ -136,6 +136,7 @@ def compare(
         from det2stoc_bayes import tables, verbs
         from det2stoc_bayes.files import atomic_write
         from det2stoc_bayes.mismatch.finding import plain
+        from det2stoc_bayes.recording import StudyWarning
         from det2stoc_bayes.report.compare_page import compare_page, misfits
 
         if seed > MOST_SEED - num_seeds:
@@ -145,13 +146,15 @@ def compare(
         asked = [name.strip() for name in methods.split(",") if name.strip()]
         options = {"seed": seed, "num_seeds": num_seeds, "engine": engine, "num_samples": num_samples}
         options |= {"jobs": jobs, "cluster": cluster, "progress": stages}
-        believed = _study_or_problem(problem)
+        believed = study_or_problem(problem)
         name = believed if isinstance(believed, str) else believed.name
         found = verbs.compare(believed, asked, out, **options)
-        told = plain(tables.compare_json(found))
-        page = compare_page(found, name=name, doubts=misfits(found))
+        told = plain(tables.compare_json(found) | {"doubts": misfits(found)})
+        page = compare_page(found, name=name, doubts=told["doubts"])
         atomic_write(out / "report.html", page)
         atomic_write(out / "comparison.json", json.dumps(told, indent=2))
+        for doubt in told["doubts"]:
+            warnings.warn(doubt, StudyWarning, stacklevel=1)
     show_report(told if as_json else tables.compare_table(found, name), out, as_json)
 
 
@@ -159,7 +162,7 @@ def compare(
 def calibrate(
     problem: AnyProblem,
     method: Annotated[
-        str, typer.Option(metavar="NAME", help=f"An inference method; {REFINED}.", autocompletion=starting(methods))
+        str, typer.Option(metavar="NAME", help=f"One of: {METHODS}; {REFINED}.", autocompletion=starting(methods))
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where replications and report go.", show_default=False)],
     num_replications: Annotated[
@@ -185,7 +188,7 @@ def calibrate(
 
         options = {"seed": seed, "engine": engine, "num_samples": num_samples, "jobs": jobs, "cluster": cluster}
         options |= {"num_replications": num_replications, "progress": stages}
-        found = verbs_calibrate.calibrate(_study_or_problem(problem, VECTORS), method, out, **options)
+        found = verbs_calibrate.calibrate(study_or_problem(problem, VECTORS), method, out, **options)
         told = calibration.to_json(found)
         atomic_write(out / "report.html", calibration_page(found))
         atomic_write(out / "calibration.json", json.dumps(plain(told), indent=2))
@@ -206,7 +209,7 @@ def diagnose(
         check_folder(out, "patched.xml", "effects.py", "fit.nc", "report.html", "diagnosis.json")
         from det2stoc_bayes import tables, verbs
 
-        diagnosis = verbs.diagnose(_load(study), seed=seed, exact=exact, progress=stages)
+        diagnosis = verbs.diagnose(load(study), seed=seed, exact=exact, progress=stages)
         diagnosis.write(out)
     finding = diagnosis.finding
     show_report(finding.model_dump(mode="json") if as_json else tables.finding_tables(finding), out, as_json)
@@ -258,7 +261,7 @@ def export(
 
         tree = posterior.load(posterior_file)
         options = {"num_draws": draws, "seed": seed, "models": models, "progress": told}
-        written = randomization.export(_load(study), tree, out, **options)
+        written = randomization.export(load(study), tree, out, **options)
     shown = {"draws": draws, "files": [str(path) for path in written]} if as_json else f"{draws} draws in {written[-1]}"
     show(shown, as_json)
 
@@ -270,27 +273,6 @@ def effects(seed: Seed = 0, as_json: Json = False, debug: Debug = False) -> None
         from det2stoc_bayes import tables
         from det2stoc_bayes.mismatch.effects import CATALOGUE
     show(tables.effects_json(CATALOGUE) if as_json else tables.effects_table(CATALOGUE), as_json)
-
-
-def _study_or_problem(given: str, more: tuple[str, ...] = ()) -> "det2stoc_bayes.study.Study | str":
-    """A study that is read, or the name of a problem (of `more`, too); a folder goes before a problem of its name."""
-    from det2stoc_bayes.suggestions import choices
-
-    if not given:
-        raise Det2StocError(f"the study: found nothing; {choices(given, (*KINDS, *more))}")
-    if Path(given).exists() or len(Path(given).parts) > 1:
-        return _load(Path(given))
-    if given in VECTORS and not more:
-        raise no_study(given)
-    if given not in (*PROBLEMS, *more):
-        raise Det2StocError(f"{given}: no such folder or problem; {choices(given, (*KINDS, *more))}")
-    return given
-
-
-def _load(folder: Path) -> "det2stoc_bayes.study.Study":
-    from det2stoc_bayes.study import load_study
-
-    return load_study(folder)
 
 
 from det2stoc_bayes import cli_blind as cli_blind  # noqa: E402  a command that takes its options from here

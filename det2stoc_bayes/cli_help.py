@@ -14,7 +14,7 @@ def _examples(*lines: str) -> str:
 EXAMPLES = {
     "check": _examples("det2stoc check studies/arm", "det2stoc check studies/arm --json"),
     "fit": _examples(
-        "det2stoc fit studies/arm --out fits/arm",
+        "det2stoc fit studies/arm --method laplace --out fits/arm",
         "det2stoc fit studies/arm --method svi --refine psis --out fits/svi",
         "det2stoc fit studies/arm --method npe --num-samples 4000 --seed 3 --out fits/npe",
     ),

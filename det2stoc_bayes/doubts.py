@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from det2stoc_bayes.identifiability import Check
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.posterior import DataTree
 from det2stoc_bayes.psis import reliable, smooth
@@ -24,6 +25,17 @@ def misfit(tree: DataTree) -> str:
     return (
         f"the model's squared misfit of the recordings is {inflation:.3g} times what their noise explains: intervals "
         "hold only if the model is right, and this speaks against it; `det2stoc diagnose` looks for what it leaves out"
+    )
+
+
+def quick_misfit(checked: Check) -> str:
+    """The same of a check, whose fit is a quick one: its widths of psi hold under the model only."""
+    given = all(column.given for column in checked.columns)
+    if not (given and checked.parameters and checked.noise_inflation >= MODEL_ERROR):
+        return ""
+    return (
+        "`identifiable` says how narrow psi would be if the model were right; after a quick fit the squared misfit is "
+        f"{checked.noise_inflation:.3g} x the noise's, which speaks against it: see `det2stoc diagnose`."
     )
 
 

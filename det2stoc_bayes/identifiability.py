@@ -22,6 +22,7 @@ from det2stoc_bayes.study import Study
 
 IDENTIFIABLE, WEAK = 0.3, 0.9  # posterior sd over prior sd, both of the standard-normal unknown: below it
 FAR = 5.0  # noise sds of rms residual: less is no reason to doubt the recording
+STILL = 1e-12  # spread over magnitude: that of a constant, but for rounding
 ENTANGLED = 0.95  # correlation beyond which two unknowns are found together only
 
 type Verdict = Literal["identifiable", "weak", "not identifiable"]
@@ -111,6 +112,7 @@ def _warn(fit: Fit) -> None:
         warnings.warn(f"psi: {told}: means and sds are rough", StudyWarning, stacklevel=3)
     segments, noise = fit.problem.segments, fit.problem.noise
     errors, spread = whitened(fit) * noise, np.nanstd(segments.values, axis=(0, 1))
+    moves = spread > STILL * np.nanmax(np.abs(segments.values), axis=(0, 1))
     for r, recording in enumerate(segments.recordings):
         own = errors[segments.recording == r]
         seen = np.isfinite(own).any((0, 1))
@@ -118,7 +120,8 @@ def _warn(fit: Fit) -> None:
         share = np.where(seen & (rms > FAR * noise), rms / np.maximum(spread, 1e-300), 0.0)
         if share.max() > LARGEST_ERROR:
             j = int(np.argmax(share))
-            far = f"misses {segments.columns[j]} by {rms[j] / noise[j]:.3g} noise sds, {share[j]:.0%} of its spread"
+            of = f"{share[j]:.0%} of its spread" if moves[j] else "and it never moves"
+            far = f"misses {segments.columns[j]} by {rms[j] / noise[j]:.3g} noise sds, {of}"
             message = f"{recording.name}: the model cannot follow it: fitted, it {far} (units? signs? names?)"
             warnings.warn(message, StudyWarning, stacklevel=3)
 

@@ -72,6 +72,8 @@ def check_json(checked: "det2stoc_bayes.identifiability.Check") -> dict[str, Any
 
 def check_tables(checked: "det2stoc_bayes.identifiability.Check") -> RenderableType:
     """All of a check: psi, recordings, columns, and in words what cannot be told apart."""
+    from det2stoc_bayes.doubts import quick_misfit
+
     psi = table("psi", "name", "sets", "prior", "varies", "mean>", "sd>", "sd / prior sd>", "")
     for p, c in zip(checked.study.parameters, checked.parameters, strict=True):
         psi.add_row(
@@ -89,10 +91,20 @@ def check_tables(checked: "det2stoc_bayes.identifiability.Check") -> RenderableT
     notes = [f"{a} and {b} are found together only: one can be traded for the other." for a, b in sorted(pairs)]
     if not checked.parameters:
         notes.append("The study has no psi: nothing of the model is uncertain.")
-    notes += [f"These recordings could not tell apart: {', '.join(group)}." for group in checked.alike]
-    if checked.absorbed:
-        notes.append(f"What psi would take up, were it there: {', '.join(checked.absorbed)}.")
+    notes += [doubt] if (doubt := quick_misfit(checked)) else []
+    notes += _open(checked)
     return _stack([*([psi] if checked.parameters else []), recordings, columns, *(Text(n) for n in notes)])
+
+
+def _open(checked: "det2stoc_bayes.identifiability.Check") -> list[str]:
+    """Which effects, were they missing from the model, would stay open."""
+    told = []
+    if checked.alike:
+        head = "Were one of these missing from the model, these recordings could not say which of its line:"
+        told.append("\n".join([head, *(f"- {', '.join(group)}" for group in checked.alike)]))
+    if checked.absorbed:
+        told.append(f"Missing effects that a wrong psi would hide completely: {', '.join(checked.absorbed)}.")
+    return ["No effect has been looked for yet. " + told[0], *told[1:]] if told else []
 
 
 # --- fit ------------------------------------------------------------

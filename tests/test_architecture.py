@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[1]
 EDGE = (
     "cli.py",
     "cli_blind.py",
+    "cli_given.py",
     "cli_import.py",
     "cli_serve.py",
     "streams.py",

@@ -23,6 +23,8 @@ from det2stoc_bayes import cli, identifiability, progress, verbs, verbs_calibrat
 from det2stoc_bayes.cli_help import EXAMPLES
 from det2stoc_bayes.errors import StudyError
 from det2stoc_bayes.identifiability import check
+from det2stoc_bayes.study import load_study
+from det2stoc_bayes.tables import check_tables
 
 TOML = """
 [psi.damping]
@@ -95,7 +97,20 @@ def test_check_says_what_can_be_identified(study):
         "fitting psi quickly",
         "comparing effects",
     ]
-    assert "What psi would take up, were it there: viscous_damping on joint hinge" in " ".join(shown.stdout.split())
+    told = " ".join(shown.stdout.split())
+    assert "Missing effects that a wrong psi would hide completely: viscous_damping on joint hinge" in told
+    assert "No effect has been looked for yet. Were one of these" in told and "speaks against it" not in told
+
+
+def test_check_says_where_the_model_speaks_against_its_widths(study):
+    checked = check(load_study(study))
+    far = replace(checked, noise_inflation=13.2)
+    shown = Console(record=True, width=400, file=StringIO())
+    shown.print(check_tables(far))
+    assert "after a quick fit the squared misfit is 13.2 x the noise's" in shown.export_text()
+    guessed = replace(far, columns=tuple(replace(c, given=False) for c in far.columns))
+    shown.print(check_tables(guessed))
+    assert "speaks against it" not in shown.export_text()
 
 
 def test_check_as_json(study):
@@ -150,8 +165,10 @@ def test_fit_writes_a_file_and_a_summary(study, tmp_path):
     assert first["name"] == "damping"
     assert first["interval"][0] < first["mean"] < first["interval"][1]
     assert first["ess"] > 50
+    assert "replaced" not in shown.stderr
     again = run(*arguments)
     assert again.exit_code == 0
+    assert f"warning: {tmp_path / 'out' / 'fit.nc'} (laplace, seed 0) is replaced" in again.stderr
     assert f"{first['mean']:.4g}" in again.stdout  # the same seed, and what was there is replaced
 
 
@@ -229,7 +246,7 @@ def test_warnings_of_the_study_are_shown_once_and_of_libraries_never(study, monk
             warnings.warn("a library's", DeprecationWarning, stacklevel=2)
         raise StudyError("stop here")
 
-    monkeypatch.setattr(cli, "_load", loaded)
+    monkeypatch.setattr(cli, "load", loaded)
     shown = run("check", study)
     assert shown.stderr == "warning: wrist: looks like degrees [1]\nerror: stop here\n"
 

@@ -187,6 +187,8 @@ def main(arguments: list[str] | None = None) -> int:
     if a.out.exists() and (not a.out.is_dir() or any(a.out.iterdir())):
         print(f"error: --out {a.out}: is there already; allowed: a new name, or an empty folder", file=sys.stderr)
         return 2
+    what = "nothing" if a.control else "one effect" if max(a.count, len(a.effect)) == 1 else "effects"
+    print(f"drawing a study with {what} concealed: up to a minute, longer with contact", file=sys.stderr)
     try:
         case = make_case(
             a.seed,
@@ -204,7 +206,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     case.write(a.out)
-    print(f"a study in {a.out}; --reveal prints what is concealed", file=sys.stderr)
+    hint = "" if a.reveal else "; --reveal and another --out print what is concealed"
+    print(f"a study in {a.out}{hint}", file=sys.stderr)
     if a.reveal:
         print(json.dumps(case.answer, indent=1))
     return 0

@@ -36,11 +36,14 @@ def main(arguments: list[str] | None = None) -> int:
     seed = int.from_bytes(os.urandom(4), "big") if a.seed is None else a.seed
     folder = a.out / f"demo-{seed}"
     study, diagnosis_folder = folder / "study", folder / "diagnosis"
-    console.print(f"[bold]Seed {seed}[/bold]: concealing an effect in a study under {study} ...")
     system = a.system or QUICK[seed % len(QUICK)]
+    what = "nothing" if a.control else "an effect" if a.count == 1 else f"{a.count} effects"
+    console.print(f"[bold]Seed {seed}, {system}[/bold]: concealing {what} in a study under {study} ...")
     case = make_case(seed, system=system, effect=a.effect, count=a.count, control=a.control, variants=tuple(a.variant))
     case.write(study)
-    console.print(f"The study has {len(case.study_files)} files; the answer is in this process's memory only.\n")
+    console.print(f"The study has {len(case.study_files)} files; the answer is in this process's memory only.")
+    time = "ten minutes or more" if SYSTEMS[system].touching else "a minute or two"
+    console.print(f"Now another process diagnoses it; this takes {time}.\n")
     command = [sys.executable, "-m", "det2stoc_bayes", "diagnose", str(study), "--out", str(diagnosis_folder)]
     try:
         code = subprocess.run(command, check=False).returncode
@@ -49,11 +52,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     result = diagnosis_folder / "diagnosis.json"
     if code != 0 or not result.is_file():
-        console.print(f"[red]The diagnosis ended with code {code}[/red] and left no result to compare. Run again:")
+        how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
+        console.print(f"[red]The diagnosis {how}[/red] and left no result to compare. Run again:")
         console.print("  " + " ".join(command), soft_wrap=True)
-        return code or 1
+        return 128 - code if code < 0 else code or 1
     reveal(case, json.loads(result.read_text(encoding="utf-8")), console)
-    console.print(f"Report: {diagnosis_folder / 'report.html'}", soft_wrap=True)
     return 0
 
 
@@ -75,11 +78,10 @@ def reveal(case: ConcealedCase, diagnosis: Mapping[str, Any], console: Console) 
             shown = f"{value:.4g}" if isinstance(value, float) else str(value).replace("[", r"\[")
             estimate = given["parameters"].get(key) if given else None
             table.add_row(f"  {key}", shown, _estimate(estimate))
-        for name, entry in (("or equally", truth and truth["accepted"]), ("or equally", None)):
-            others = entry if entry is not None else (given or {}).get("equivalent") or []
-            text = ", ".join(f"{other['name']} {_element(other)}".strip() for other in others)
-            if text:
-                table.add_row(f"  {name}", *((text, "") if entry is not None else ("", text)))
+        alike = (truth["accepted"] if truth else (), (given or {}).get("equivalent") or ())
+        texts = [", ".join(f"{other['name']} {_element(other)}".strip() for other in others) for others in alike]
+        if any(texts):
+            table.add_row("  or equally", *texts)
     for name, value in answer["psi"].items():
         after = (diagnosis.get("psi") or {}).get(name, {}).get("after")
         table.add_row(f"psi {name}", f"{value:.4g}", _mean_sd(after))
@@ -92,7 +94,6 @@ def reveal(case: ConcealedCase, diagnosis: Mapping[str, Any], console: Console) 
     outcome = score(answer, diagnosis)
     right = outcome.verdict and outcome.named
     console.print("[bold green]Right.[/bold green]" if right else "[bold red]Not right.[/bold red]")
-    console.print(diagnosis.get("summary", ""))
 
 
 def _element(entry: Mapping[str, Any] | None) -> str:

@@ -199,9 +199,7 @@ class BeliefOf(Entry):
     """How a posterior was drawn."""
 
     method: Literal["laplace", "laplace+psis", "adapted", "smc", "nuts"]
-    k_hat: Number = Field(
-        description="tail of the importance weights: reliable below 0.7, 10 at most; null: not weighed"
-    )
+    k_hat: Number = Field(description="tail of the importance weights: reliable below 0.7, at most 10; null: none")
     draws: int
     evaluations: int = Field(description="simulations of all recordings that it took")
 

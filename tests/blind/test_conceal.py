@@ -192,9 +192,11 @@ def test_glitches_are_few_and_far():
 def test_command_reveals_only_on_request(tmp_path, capsys):
     arguments = ["--seed", "4", "--system", "slider", "--effect", "constant_force", "--samples", "60"]
     assert main([*arguments, "--recordings", "1", "--out", str(tmp_path / "a")]) == 0
-    assert capsys.readouterr().out == ""
+    out, err = capsys.readouterr()
+    assert out == "" and "up to a minute" in err and "--reveal" in err
     assert main([*arguments, "--recordings", "1", "--out", str(tmp_path / "b"), "--reveal"]) == 0
-    assert json.loads(capsys.readouterr().out)["effects"][0]["name"] == "constant_force"
+    out, err = capsys.readouterr()
+    assert json.loads(out)["effects"][0]["name"] == "constant_force" and "--reveal" not in err
     assert main(["--seed", "4", "--size", "99", "--out", str(tmp_path / "c")]) == 2
     assert "3 to 30" in capsys.readouterr().err and not (tmp_path / "c").exists()
     assert main([*arguments, "--recordings", "0", "--out", str(tmp_path / "c")]) == 2

@@ -249,7 +249,11 @@ def test_demo_reports_a_failed_diagnosis(tmp_path, monkeypatch, capsys):
     )
     monkeypatch.setattr(demo.subprocess, "run", lambda command, check: subprocess.CompletedProcess(command, 3))
     assert demo.main(["--seed", "9", "--out", str(tmp_path)]) == 3
-    assert "ended with code 3" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "ended with code 3" in shown and "Seed 9, pendulum" in shown and "a minute or two" in shown
+    monkeypatch.setattr(demo.subprocess, "run", lambda command, check: subprocess.CompletedProcess(command, -15))
+    assert demo.main(["--seed", "9", "--out", str(tmp_path)]) == 143
+    assert "was ended by signal 15" in capsys.readouterr().out
     assert (tmp_path / "demo-9" / "study" / "study.toml").is_file()
 
 
@@ -257,10 +261,12 @@ def test_demo_reveals_both_sides():
     case = make_case(4, system="pendulum", effect="constant_force", num_recordings=1, num_samples=60)
     truth = case.answer["effects"][0]
     given = entry("constant_force", "joint", "pivot", force=estimate(truth["parameters"]["force"], -9.0, 9.0))
+    given |= {"equivalent": [entry("actuator_bias", "actuator", "drive")]}
     console = Console(record=True, width=120, file=io.StringIO())
     demo.reveal(case, claim(given, summary="A torque was left out."), console)
     shown = console.export_text()
     assert "constant_force" in shown and "[-9, 9]" in shown and "Right." in shown
+    assert shown.count("or equally") == 1 and "actuator_bias actuator drive" in shown
 
 
 def test_a_named_value_is_shown_as_it_is():

@@ -163,20 +163,21 @@ def test_the_page_says_what_the_table_says(comparison):
     json.dumps(compare_json(comparison), default=float)
 
 
-def test_the_command_draws_what_is_missing_and_nothing_twice(gaussian_study, tmp_path):
-    out = tmp_path / "out"
+def test_the_command_draws_what_is_missing_and_nothing_twice(gaussian_study, tmp_path, monkeypatch):
+    out, shown = tmp_path / "out", []
 
     def run(*methods, **more):
         options = [f"--{k.replace('_', '-')}={v}" for k, v in more.items()]
         found = CliRunner().invoke(cli.app, ["compare", str(gaussian_study), "--methods", ",".join(methods),
                                              "--out", str(out), "--json", "--jobs", "1", *options])  # fmt: skip
         assert found.exit_code == 0, found.stderr
+        shown.append(found.stderr)
         return json.loads(found.stdout), {p.name: p.stat().st_mtime_ns for p in (out / "runs").iterdir()}
 
     _, before = run("laplace", "prior")
     told, after = run("laplace+psis", "laplace", "prior")
     assert after.items() >= before.items() and set(after) - set(before) == {"laplace+psis.nc"}
-    assert [row["label"] for row in told["rows"]] == ["laplace+psis", "laplace", "prior"]
+    assert [row["label"] for row in told["rows"]] == ["laplace+psis", "laplace", "prior"] and told["doubts"] == []
     assert json.loads((out / "comparison.json").read_text())["rows"] == told["rows"]
     assert (out / "report.html").stat().st_size > 1e6
     (out / "runs" / "prior.nc").write_bytes(b"no fit")
@@ -186,6 +187,10 @@ def test_the_command_draws_what_is_missing_and_nothing_twice(gaussian_study, tmp
     before = mended
     _, other = run("laplace", seed=3)
     assert other["laplace.nc"] != before["laplace.nc"] and other["prior.nc"] == before["prior.nc"]
+    monkeypatch.setattr("det2stoc_bayes.doubts.MODEL_ERROR", 0.1)
+    told, _ = run("laplace")
+    assert "this speaks against it" in told["doubts"][0] and f"warning: {told['doubts'][0]}\n" in shown[-1]
+    assert json.loads((out / "comparison.json").read_text())["doubts"] == told["doubts"]
 
 
 @pytest.mark.parametrize(
