@@ -293,7 +293,7 @@ LAWS = {
     "ActuatorBias": last(lambda u, t: u + 0.2),
     "ActuatorDeadZone": last(lambda u, t: 0.0 if abs(u) < 0.15 else u - 0.15 * np.sign(u)),
     "ActuatorSaturation": last(lambda u, t: min(max(u, -0.35), 0.35)),
-    "ActuatorGainDrift": last(lambda u, t: u * np.exp(-0.6 * t)),
+    "ActuatorGainDrift": last(lambda u, t: u * np.exp(-0.6 * (t + DT / 2))),
     "TorqueSpeedLimit": rewrite(limited),
     "OverPosition": force(lambda q, v, t: spline(VALUES["OverPosition"])(q)),
     "OverVelocity": force(lambda q, v, t: spline(VALUES["OverVelocity"])(v)),

@@ -171,8 +171,8 @@ class ActuatorGainDrift(ActuatorEffect):
         return {"rate": normal(0.3 / typical.duration)}
 
     def control(self, p, u, t, dt, xp):
-        """Scaled by the time's factor."""
-        return xp.exp(-p["rate"][..., None] * t) * u
+        """Scaled by the factor of the step's middle, for which it is held."""
+        return xp.exp(-p["rate"][..., None] * (t + 0.5 * xp.asarray(dt)[..., None])) * u
 
 
 class TorqueSpeedLimit(ActuatorEffect):
