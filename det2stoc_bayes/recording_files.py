@@ -62,7 +62,8 @@ def _numbers(row: list[str], header: tuple[str, ...], where: str) -> list[float]
         except ValueError:
             number = math.nan if not cell.strip() else math.inf
         if not math.isfinite(number) and cell.strip():
-            raise StudyError(f"{where}: column {column}: found '{cell[:40]}'; allowed: a finite number, or nothing")
+            allowed = "in every line" if column == "time" else "or nothing"
+            raise StudyError(f"{where}: column {column}: found '{cell[:40]}'; allowed: a finite number, {allowed}")
         numbers.append(number)
     return numbers
 

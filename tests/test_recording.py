@@ -107,7 +107,7 @@ MISTAKES = {
     "back in time": (GOOD + "1,1,2\n0.5,1,2\n", "line 4: column time: found 0.5 after 1.0", "increasing"),
     "same time": (GOOD + "0,1,2\n", "line 3: column time: found 0.0 after 0.0", "increasing"),
     "no time given": (GOOD + ",1,2\n", "line 3: column time: found nothing", "a number"),
-    "nan time": (GOOD + "NaN,1,2\n", "line 3: column time: found 'NaN'", "a finite number"),
+    "nan time": (GOOD + "NaN,1,2\n", "line 3: column time: found 'NaN'", "a finite number, in every line"),
     "empty column": (
         "time,qpos/slide,qvel/slide\n0,1,\n1,2,\n",
         "column qvel/slide: found no value",

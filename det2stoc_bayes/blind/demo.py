@@ -88,8 +88,8 @@ def reveal(case: ConcealedCase, diagnosis: Mapping[str, Any], console: Console) 
     console.print(table)
     for effect in truths:
         console.print(
-            f"{effect['name']} moved the recordings by {effect['change_in_noise_sds']:.1f} noise sds, of which psi "
-            f"and the initial states can hide all but {effect['size_in_noise_sds']:.1f}."
+            f"{effect['name']} changes the recordings by {effect['change_in_noise_sds']:.1f} noise sds; refitting "
+            f"psi and the initial states can hide part of that, {effect['size_in_noise_sds']:.1f} remain."
         )
     outcome = score(answer, diagnosis)
     right = outcome.verdict and outcome.named

@@ -207,7 +207,7 @@ def test_equivalent_effects_vectors_and_names_are_shown(finding, fit) -> None:
     ]
     finding["psi"]["link_mass"]["prior_conflict"] = [0.2, None, 0.04]
     words = Page(diagnosis_page(finding, fit, study_name="arm")).words()
-    assert "or equally com offset of body hand" in words
+    assert "or equally com offset of body hand" in words and "or its equal" in words
     assert "(0.100 ± 0.010, 0.200 ± 0.010, 0.300 ± 0.010) m" in words
     assert "elbow" in words and "conflicts with its prior" in words
 
