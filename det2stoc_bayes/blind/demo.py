@@ -36,13 +36,13 @@ def main(arguments: list[str] | None = None) -> int:
     seed = int.from_bytes(os.urandom(4), "big") if a.seed is None else a.seed
     folder = a.out / f"demo-{seed}"
     study, diagnosis_folder = folder / "study", folder / "diagnosis"
-    system = a.system or QUICK[seed % len(QUICK)]
+    system = a.system or (None if a.effect or a.variant else QUICK[seed % len(QUICK)])
     what = "nothing" if a.control else "an effect" if a.count == 1 else f"{a.count} effects"
-    console.print(f"[bold]Seed {seed}, {system}[/bold]: concealing {what} in a study under {study} ...")
+    console.print(f"[bold]Seed {seed}, {system or 'any system'}[/bold]: concealing {what} in a study under {study} ...")
     case = make_case(seed, system=system, effect=a.effect, count=a.count, control=a.control, variants=tuple(a.variant))
     case.write(study)
     console.print(f"The study has {len(case.study_files)} files; the answer is in this process's memory only.")
-    time = "ten minutes or more" if SYSTEMS[system].touching else "a minute or two"
+    time = "ten minutes or more" if SYSTEMS[case.answer["system"]].touching else "a minute or two"
     console.print(f"Now another process diagnoses it; this takes {time}.\n")
     command = [sys.executable, "-m", "det2stoc_bayes", "diagnose", str(study), "--out", str(diagnosis_folder)]
     try:

@@ -7,7 +7,7 @@ import h5py
 from det2stoc_bayes.engines.model_names import ModelNames
 from det2stoc_bayes.errors import listing
 from det2stoc_bayes.importers.base import Asked, Contents, Log, Signal, SourceError
-from det2stoc_bayes.importers.hdf5 import episodes, evenly, height, opened, signals
+from det2stoc_bayes.importers.hdf5 import Clock, episodes, evenly, height, opened, signals
 
 ABOUT = "a Minari data set's folder, or its main_data.hdf5, an episode a recording; --period is asked for"
 TAKES = ("period",)
@@ -40,6 +40,10 @@ def _signals(episode: object, period: float, where: str) -> dict[str, Signal]:
         raise SourceError(f"{where}: found {seen} observations and {steps} actions; allowed: one observation more")
     every: dict[str, Signal] = {}
     for part in (part for part in TAKEN if part in episode):
-        late = part == "infos" and height(episode[part]) == steps  # each is of the observation after its action
-        every.update(signals(episode[part], part, evenly(period, int(late)), where))
+        every.update(signals(episode[part], part, _after(period, steps) if part == "infos" else evenly(period), where))
     return every
+
+
+def _after(period: float, steps: int) -> Clock:
+    """Of as many rows as actions each is of the observation after its action."""
+    return lambda rows: evenly(period, int(rows == steps))(rows)

@@ -81,7 +81,7 @@ def believe(fit: Fit, share: float, seed: int, *, temper: Temper | None = None, 
             return drawn.tempered(own, temper, num_draws)
         except SamplingFailed:
             pass  # k-hat already says how far the draws can be trusted
-    if not trusted and drawn.effective < ENOUGH:  # a few draws in a bent valley would pass as its width
+    if not trusted and 0 < drawn.effective < ENOUGH:  # a few draws in a bent valley would pass as its width
         return replace(roughly(fit, share, seed, num_draws=num_draws), k_hat=drawn.k_hat, evaluations=len(drawn.x))
     return drawn.belief(own, "adapted", num_draws)
 

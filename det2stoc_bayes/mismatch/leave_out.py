@@ -20,6 +20,13 @@ def k_hats(belief: Belief) -> dict[str, float]:
     return {name: smooth(-terms)[1] for name, terms in zip(names, belief.terms.T, strict=True)}
 
 
+def doubtful(belief: Belief) -> tuple[str, ...]:
+    """Recordings whose removal weights cannot tell; all of them where draws could not be weighed."""
+    if belief.terms is None and belief.k_hat is not None:
+        return tuple(r.name for r in belief.fit.problem.segments.recordings)
+    return tuple(name for name, k in k_hats(belief).items() if k > reliable(len(belief.z)))
+
+
 def checked(fit: Fit, held: HeldOut, belief: Belief) -> tuple[HeldOut, dict[str, float], tuple[str, ...]]:
     """Scores with exact refits where down-dating cannot be trusted; k-hat by recording; the recordings refitted.
 
@@ -28,12 +35,11 @@ def checked(fit: Fit, held: HeldOut, belief: Belief) -> tuple[HeldOut, dict[str,
     study = fit.problem.simulator.study
     if study.holdout or len(study.recordings) == 1:
         return held, {}, ()
-    k = k_hats(belief)
-    doubtful = tuple(name for name, value in k.items() if value > reliable(len(belief.z)))
-    if not doubtful:
+    k, names = k_hats(belief), doubtful(belief)
+    if not names:
         return held, k, ()
-    again = {name: refitted_without(fit, {name}) for name in doubtful}
-    return _merged(held, evaluate(fit, again, tuple(r for r in study.recordings if r.name in again))), k, doubtful
+    again = {name: refitted_without(fit, {name}) for name in names}
+    return _merged(held, evaluate(fit, again, tuple(r for r in study.recordings if r.name in again))), k, names
 
 
 def _merged(old: HeldOut, new: HeldOut) -> HeldOut:

@@ -32,8 +32,9 @@ def _draws(belief: Mapping[str, Any] | None) -> list[str]:
     if after["method"] in ("smc", "nuts") or k is None:
         return [f"{text}."]
     if after["method"] == "laplace":
-        text = f"Intervals are those of the Gaussian at the fit ({after['draws']} draws): the posterior is bent, and "
-        text += f"weighing them by the exact likelihood failed (k-hat {numbers.number(k, 2)}); try --exact"
+        text = f"Intervals are those of the Gaussian at the fit ({after['draws']} draws): "
+        text += f"weighing by the exact likelihood failed (k-hat {numbers.number(k, 2)}), "
+        text += "intervals may be wrong; try --exact"
         return [f"{text}."]
     trust = "reliable" if k < RELIABLE else "not reliable: intervals may be too narrow; try --exact"
     return [f"{text} (k-hat {numbers.number(k, 2)}, {trust})."]

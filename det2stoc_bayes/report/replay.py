@@ -87,7 +87,7 @@ def _start(
 ) -> dict[str, Any]:
     """When the first model is farthest from the recording, and the least factor by which that is seen.
 
-    No factor where there is one model only: what it leaves is noise.
+    No factor where there is one model only: what it leaves is noise. 1 where no factor shows anything.
     """
     if not {"recorded", "before"} <= set(motion):
         return {}
@@ -103,7 +103,7 @@ def _start(
     found = {"worst": float(motion["time"].values[most.argmax()])}
     if "after" not in names:
         return found
-    return found | {"factor": next((f for f in FACTORS if f * most.max() >= VISIBLE), FACTORS[-1])}
+    return found | {"factor": next((f for f in FACTORS if f * most.max() >= VISIBLE), 1)}
 
 
 def _extents(seen: xr.Dataset, sizes: Float[np.ndarray, " geoms"]) -> Float[np.ndarray, " bodies"]:
