@@ -39,7 +39,12 @@ def main(arguments: list[str] | None = None) -> int:
     system = a.system or (None if a.effect or a.variant else QUICK[seed % len(QUICK)])
     what = "nothing" if a.control else "an effect" if a.count == 1 else f"{a.count} effects"
     console.print(f"[bold]Seed {seed}, {system or 'any system'}[/bold]: concealing {what} in a study under {study} ...")
-    case = make_case(seed, system=system, effect=a.effect, count=a.count, control=a.control, variants=tuple(a.variant))
+    options = {"effect": a.effect, "count": a.count, "control": a.control, "variants": tuple(a.variant)}
+    try:
+        case = make_case(seed, system=system, **options)
+    except ValueError as error:  # there is no such study
+        console.print(f"error: {error}", soft_wrap=True)
+        return 2
     case.write(study)
     console.print(f"The study has {len(case.study_files)} files; the answer is in this process's memory only.")
     time = "ten minutes or more" if SYSTEMS[case.answer["system"]].touching else "a minute or two"

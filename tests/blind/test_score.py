@@ -257,6 +257,15 @@ def test_demo_reports_a_failed_diagnosis(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "demo-9" / "study" / "study.toml").is_file()
 
 
+def test_demo_says_what_cannot_be_concealed(tmp_path, monkeypatch, capsys):
+    def impossible(seed, **_):
+        raise ValueError("psi cannot absorb it")
+
+    monkeypatch.setattr(demo, "make_case", impossible)
+    assert demo.main(["--seed", "9", "--out", str(tmp_path)]) == 2
+    assert "error: psi cannot absorb it" in capsys.readouterr().out
+
+
 def test_demo_reveals_both_sides():
     case = make_case(4, system="pendulum", effect="constant_force", num_recordings=1, num_samples=60)
     truth = case.answer["effects"][0]
