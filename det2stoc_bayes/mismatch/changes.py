@@ -35,16 +35,21 @@ class Changes:
             for trial in some:
                 yield trial, np.stack([next(columns) for _ in trial.columns], -1)
 
+    def every(
+        self, candidates: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda n: None
+    ) -> Iterator[tuple[PlacedEffect, Trial, Float[np.ndarray, "segments values columns"]]]:
+        """All trials of all candidates, one candidate after the other."""
+        for placed in candidates:
+            for trial, columns in self.of(placed, placed.effect.trials(placed.typical)):
+                yield placed, trial, columns
+            advance(1)
+
 
 def changes(
     fit: Fit, candidates: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda n: None
 ) -> Iterator[tuple[PlacedEffect, Trial, Float[np.ndarray, "segments values columns"]]]:
     """Change of the prediction by every trial of every candidate."""
-    by_trial = Changes(fit)
-    for placed in candidates:
-        for trial, columns in by_trial.of(placed, placed.effect.trials(placed.typical)):
-            yield placed, trial, columns
-        advance(1)
+    return Changes(fit).every(candidates, advance)
 
 
 def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tried: Sequence[Values]) -> np.ndarray:

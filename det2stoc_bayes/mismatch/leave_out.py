@@ -20,11 +20,11 @@ def k_hats(belief: Belief) -> dict[str, float]:
     return {name: smooth(-terms)[1] for name, terms in zip(names, belief.terms.T, strict=True)}
 
 
-def doubtful(belief: Belief) -> tuple[str, ...]:
-    """Recordings whose removal weights cannot tell; all of them where draws could not be weighed."""
+def doubtful(belief: Belief, k: dict[str, float]) -> tuple[str, ...]:
+    """Recordings whose removal weights cannot tell, by their k-hats; all of them where draws could not be weighed."""
     if belief.terms is None and belief.k_hat is not None:
         return tuple(r.name for r in belief.fit.problem.segments.recordings)
-    return tuple(name for name, k in k_hats(belief).items() if k > reliable(len(belief.z)))
+    return tuple(name for name, value in k.items() if value > reliable(len(belief.z)))
 
 
 def checked(fit: Fit, held: HeldOut, belief: Belief) -> tuple[HeldOut, dict[str, float], tuple[str, ...]]:
@@ -35,7 +35,8 @@ def checked(fit: Fit, held: HeldOut, belief: Belief) -> tuple[HeldOut, dict[str,
     study = fit.problem.simulator.study
     if study.holdout or len(study.recordings) == 1:
         return held, {}, ()
-    k, names = k_hats(belief), doubtful(belief)
+    k = k_hats(belief)
+    names = doubtful(belief, k)
     if not names:
         return held, k, ()
     again = {name: refitted_without(fit, {name}) for name in names}

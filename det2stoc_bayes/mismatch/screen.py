@@ -52,13 +52,11 @@ def screen(
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
     by_trial = Changes(fit)
-    for placed in new:
-        for trial, columns in by_trial.of(placed, placed.effect.trials(placed.typical)):
-            found = beside.judge(placed, trial, columns)
-            if found is not None:
-                trials[placed] = _kept([*trials.get(placed, ()), found])
-                _forget(trials)
-        advance(1)
+    for placed, trial, columns in by_trial.every(new, advance):
+        found = beside.judge(placed, trial, columns)
+        if found is not None:
+            trials[placed] = _kept([*trials.get(placed, ()), found])
+            _forget(trials)
     for placed in sorted(trials, key=lambda placed: -trials[placed][0].log_evidence)[:NUM_SHARPENED]:
         trials[placed] = _sharpened(trials[placed], beside, by_trial)
     return sorted((replace(t[0], others=tuple(t[1:])) for t in trials.values()), key=lambda s: -s.log_evidence)

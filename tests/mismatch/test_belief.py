@@ -15,7 +15,7 @@ from det2stoc_bayes.mismatch.belief import believe, roughly
 from det2stoc_bayes.mismatch.coordinates import Affine, Population
 from det2stoc_bayes.mismatch.credence import compared
 from det2stoc_bayes.mismatch.effects import Typical
-from det2stoc_bayes.mismatch.leave_out import doubtful
+from det2stoc_bayes.mismatch.leave_out import doubtful, k_hats
 from det2stoc_bayes.models import linear_gaussian
 from det2stoc_bayes.optimize import fit_many
 from det2stoc_bayes.populations import freed
@@ -215,7 +215,9 @@ def test_a_few_draws_in_a_bent_valley_do_not_pass_as_its_width(shaped):
     found, whitened = shaped(ridge)
     drawn = believe(found, 1.0, 0)
     assert drawn.method == "laplace" and drawn.terms is None
-    assert doubtful(drawn) == tuple(r.name for r in found.problem.segments.recordings)  # left out by exact refits
+    assert doubtful(drawn, k_hats(drawn)) == tuple(
+        r.name for r in found.problem.segments.recordings
+    )  # left out by exact refits
     assert drawn.k_hat > reliable(drawn.evaluations) and 0.7 < drawn.summary()["k_hat"] <= 10.0
     assert whitened(drawn.z)[:, 0].std() > 0.8
 
