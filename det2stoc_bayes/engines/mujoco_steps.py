@@ -205,7 +205,8 @@ class Stepper:
     def _body_state(self, e: EffectRows, body: int) -> BodyState:
         rows = e.rows
         derived, shaped = ({n: a[rows] for n, a in arrays.items()} for arrays in (self.derived, self.shaped))
-        return body_state(self.model, body, derived, shaped, self.time[rows] + self.lead[rows])
+        heavy = e.placed.effect.uses("body_torque")
+        return body_state(self.model, body, derived, shaped, self.time[rows] + self.lead[rows], heavy)
 
     def _shaped(self) -> dict[str, np.ndarray]:
         """Fields that forces on bodies look at, simulations first."""

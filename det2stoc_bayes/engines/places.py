@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.effects.base import BodyState, Element
+from det2stoc_bayes.mismatch.effects.vectors import cross
 
 DERIVED = ("cvel", "xipos", "ximat", "subtree_com", "cdof")
 KINDS = ("body_mass", "body_inertia", "geom_size")  # fields that bodies' forces look at
@@ -41,7 +42,7 @@ class Places:
             chain |= self.model.dof_bodyid == body
             body = self.model.body_parentid[body]
         axes, slides = self.derived["cdof"][..., :3], self.derived["cdof"][..., 3:]
-        found = np.einsum("sdi,si->sd", slides + np.cross(axes, lever[:, None]), force)
+        found = np.einsum("sdi,si->sd", slides + cross(axes, lever[:, None], np), force)
         if torque is not None:
             found = found + np.einsum("sdi,si->sd", axes, torque)
         return np.where(chain, found, 0.0)
@@ -53,13 +54,19 @@ def body_state(
     derived: Mapping[str, np.ndarray],
     fields: Mapping[str, np.ndarray],
     time: Float[np.ndarray, " states"],
+    heavy: bool = True,
 ) -> BodyState:
-    """What a force on a body sees, from MuJoCo's derived quantities and the fields of KINDS, first axis the states'."""
+    """What a force on a body sees, from MuJoCo's derived quantities and the fields of KINDS, first axis the states'.
+
+    Its inertia costs most and is wanted for torques alone: it is left out of what is not `heavy`.
+    """
     spin, geoms = derived["cvel"][:, body, :3], np.flatnonzero(model.geom_bodyid == body)
-    velocity = derived["cvel"][:, body, 3:] + np.cross(spin, _lever(model, body, derived))
+    velocity = derived["cvel"][:, body, 3:] + cross(spin, _lever(model, body, derived), np)
     shapes = tuple(int(t) for t in model.geom_type[geoms])
-    axes = derived["ximat"][:, body].reshape(-1, 3, 3)
-    inertia = np.einsum("sij,sj,skj->sik", axes, np.broadcast_to(fields["body_inertia"][:, body], (len(axes), 3)), axes)
+    inertia = 0.0
+    if heavy:
+        axes = derived["ximat"][:, body].reshape(-1, 3, 3)
+        inertia = (axes * fields["body_inertia"][:, body, None, :]) @ np.swapaxes(axes, 1, 2)
     mass, position = fields["body_mass"][:, body], derived["xipos"][:, body]
     return BodyState(velocity, time, spin, shapes, fields["geom_size"][:, geoms], position, mass, inertia)
 

@@ -26,7 +26,7 @@ from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 from det2stoc_bayes.optimize import Fit
 
 MAX_EFFECTS = 3
-NUM_CROSSED = 3  # single additions, beside pairs, that other recordings decide between
+NUM_CROSSED = 3  # single additions, and successive ones, beside pairs, that other recordings decide between
 NUM_WIDE = 24  # pairs where the few best leave a misfit beyond the noise as it is
 CLEARLY = 1.0  # nats by which a rival must be ahead to take an effect's place
 INDISPENSABLE = 100.0  # nats of an effect without which nothing can be simulated
@@ -151,19 +151,23 @@ def _better(slot: Slot, pool: Sequence[PlacedEffect], needed: float, believed: F
     """The next step; None where nothing earns its place. More pairs are tried before a misfit is called unexplained."""
     base = slot.base
     room = len(base.problem.effects) + 2 <= MAX_EFFECTS
-    if room and (lead := leading(slot, pool, needed, looks)) is not None:
+    lead, successive = leading(slot, pool, needed, looks) if room else (None, [])
+    if lead is not None:
         return lead
-    found = _best_of(slot, needed, believed, looks, NUM_PAIRS)
+    found = _best_of(slot, needed, believed, looks, NUM_PAIRS, successive)
     if found is None and not base.problem.effects and base.noise_inflation >= MODEL_ERROR:
-        return _best_of(slot, needed, believed, looks, NUM_WIDE)
+        return _best_of(slot, needed, believed, looks, NUM_WIDE, successive)
     return found
 
 
-def _best_of(slot: Slot, needed: float, believed: Fit, looks: Looks, num_pairs: int) -> Fit | None:
+def _best_of(
+    slot: Slot, needed: float, believed: Fit, looks: Looks, num_pairs: int, successive: Sequence[Fit]
+) -> Fit | None:
     """The addition, or the two, with most evidence; None where nothing earns its place.
 
     While all contenders leave a misfit beyond the noise, evidence favours what bends to the fitted recordings. Then the
-    one is taken that tells others best; each addition must explain a share of the believed model's misfit there.
+    one is taken that tells others best, two of which one was found beside the other (`successive`) among them; each
+    addition must explain a share of the believed model's misfit there.
     """
     base, single = slot.base, {r.placed: r.fit for r in slot.ranked}
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
@@ -179,6 +183,7 @@ def _best_of(slot: Slot, needed: float, believed: Fit, looks: Looks, num_pairs: 
                 return f
         return next(iter(alone), None)
     looks.others_chose = True
+    contenders += successive[:NUM_CROSSED]
     price = NEGLIGIBLE * untold(believed)
     first = len(base.problem.effects)
     scores = [untold(f) + price * (len(f.problem.effects) - first) for f in (base, *contenders)]

@@ -14,6 +14,7 @@ from det2stoc_bayes.start_fit import fit_starts, searched_again
 SHORTEST = 20  # samples
 GROWTH, LEAST_GROWTH = 4, 2  # from one rung to the next; and from the last one to whole recordings
 AMPLE = 3000  # samples in short segments: under a misfit more of them cost time and decide nothing
+FAR = 100.0  # noise inflation from which on a hypothesis is held against others where it stands
 LARGEST_ERROR = 0.2  # of a column's spread: beyond it a linearization says little
 
 
@@ -81,8 +82,11 @@ def _on(problem: Problem, segments: Segments, z: np.ndarray, shorter: Fit | None
 
 
 def extend(fit: Fit) -> Fit:
-    """The same hypothesis at a longer horizon, where one has become possible."""
-    if fit.problem.segments.whole:
+    """The same hypothesis at a longer horizon, where one has become possible.
+
+    What leaves a misfit far beyond the noise is wrong there, too, and would cost several times as much.
+    """
+    if fit.problem.segments.whole or fit.noise_inflation >= FAR:
         return fit
     if fit.noise_inflation < MODEL_ERROR:
         whole = cut(fit.problem.segments.recordings, None, fit.problem.segments.columns)

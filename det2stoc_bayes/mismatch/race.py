@@ -21,7 +21,7 @@ PROMISING = 0.3  # of the best screened evidence: what earns less is not refined
 RACE = (10.0, 0.3, 50.0)  # how far behind the best sketch a candidate may be: nats, share of the gain, at most
 NUM_LEADERS, MOST_ITERATIONS = 2, 15  # that go on to their optimum while a misfit remains
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
-FURTHER, SOON = 5, 2  # iterations of those in the race, and of who went astray where all but chance is explained
+FURTHER, SOON = 5, 2  # iterations of those in the race, and of who went astray beside an explanation far ahead
 AT_WALL = 1e-6  # prior sds from where a positive parameter is absent
 SETTLED = 0.3  # nats that a further iteration may gain
 Progress = Callable[[str, int, int], None]  # stage, done, total
@@ -152,7 +152,8 @@ def race(
     if not fits:
         return []
     here = present is not None and present.problem.segments.key == base.problem.segments.key
-    known = [present] if present is not None and here and by_chance(present) else []
+    standing = [present] if present is not None and here else []
+    known = [f for f in standing if by_chance(f)]
     ahead = min([*known, *(f for f in fits if allowed(f, first))] or fits, key=lambda f: f.chi2)
     share = effective_share(ahead)
     evidence, floor = {id(f): log_evidence(f, share) for f in fits}, log_evidence(base, share)
@@ -161,11 +162,13 @@ def race(
     behind = RACE[2] if explained else np.clip(RACE[1] * (top - floor), RACE[0], RACE[2])
     fits = sorted(fits, key=lambda f: -evidence[id(f)])[:most]
     # A sketch that ends below where it began went astray: it says nothing of the hypothesis. Beside who explains all
-    # but chance it is given a little time; what predicts the same is looked for from there, too (`kin`).
+    # but chance, or stands far ahead in the place, it is given a little time; what predicts the same is looked for from
+    # there, too (`kin`).
+    told = explained or any(log_evidence(f, share) > floor + RACE[2] for f in standing)
     racing = [f for f in fits if evidence[id(f)] > top - behind]
     astray = [f for f in fits if evidence[id(f)] < floor and f not in racing]
     better: dict[int, Fit] = {}
-    for some, most_iterations in ((racing, FURTHER), (astray, SOON if explained else FURTHER)):
+    for some, most_iterations in ((racing, FURTHER), (astray, SOON if told else FURTHER)):
         on = [(f.problem, f.point) for f in some]
         found = fit_many(on, max_iterations=most_iterations, tolerance=SETTLED / share) if some else []
         better |= {id(f): g for f, g in zip(some, found, strict=True) if g is not None}

@@ -12,7 +12,7 @@ from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.effects.unlisted import FORMS
 from det2stoc_bayes.mismatch.evidence import by_chance, effective_share, log_evidence
 from det2stoc_bayes.mismatch.explain import Explanation, bare_fit, enough, explain, grow, judged, misses
-from det2stoc_bayes.mismatch.horizon import extend
+from det2stoc_bayes.mismatch.horizon import FAR, extend
 from det2stoc_bayes.mismatch.kin import truer_pair
 from det2stoc_bayes.mismatch.looks import Looks
 from det2stoc_bayes.mismatch.race import NUM_PAIRS, Progress, Ranked, added, gain, race, threshold, tolerance
@@ -60,7 +60,7 @@ def _at_once(before: Fit, pool: Sequence[PlacedEffect], looks: Looks) -> Explana
         return None
     listed = max([0.0, *(s.log_evidence for s in first.screened[:1]), *(gain(before, f, 1.0) for f in single)])
     # A surface over position and velocity is many listed effects at once: it waits until these were searched.
-    curves = _beside(before, pool, 1, listed + needed)
+    curves = _beside(before, pool, 1, listed + needed, looks)
     best = extend(curves.ranked[0].fit) if curves.ranked else None
     if best is None or not enough(best, before):
         return None
@@ -78,8 +78,10 @@ def beyond_list(found: Explanation, pool: Sequence[PlacedEffect], looks: Looks) 
         return found
     needed = threshold(_count(pool))
     for num_variables in (1, 2):
-        curves = _beside(found.before, pool, num_variables, max(PROMISING * _earned(found), needed))
+        curves = _beside(found.before, pool, num_variables, max(PROMISING * _earned(found), needed), looks)
         for ranked in curves.ranked[:1]:
+            if _hopeless(ranked.fit, found.after):
+                continue
             better = _completed(ranked.fit, found, needed, looks)
             if _clearly(better, found, needed):
                 return _with(better, found, curves, pool, looks)
@@ -101,11 +103,16 @@ def _earned(found: Explanation) -> float:
     return gain(found.before, found.after, found.share) if found.after is not found.before else 0.0
 
 
-def _beside(base: Fit, pool: Sequence[PlacedEffect], num_variables: int, least: float) -> _Curves:
+def _beside(base: Fit, pool: Sequence[PlacedEffect], num_variables: int, least: float, looks: Looks) -> _Curves:
     """Curves beside a fit, those fitted that promise more than `least` nats, most evidence first."""
     screened = screen_unlisted(base, pool, num_variables)
     least = max(least, *(PROMISING * s.log_evidence for s in screened[:1]), 0.0)
     worth = [s for s in screened if s.log_evidence > least][:NUM_REFINED]
+    return looks.once(base, [s.placed for s in worth], lambda: _fitted(base, worth))
+
+
+def _fitted(base: Fit, worth: Sequence[Screened]) -> _Curves:
+    """These curves beside a fit, the best of them with the prior that suits it."""
     fits = race(base, [added(base, s.change, [(s, s.coefficients)]) for s in worth])
     if not fits:
         return _Curves([], [])
@@ -146,6 +153,14 @@ def _completed(fit: Fit, found: Explanation, needed: float, looks: Looks) -> Fit
         return fit
     near = list(dict.fromkeys(r.placed for slot in found.slots for r in slot.ranked))
     return grow(looks.at(fit, near), near, needed, looks)[0]
+
+
+def _hopeless(curve: Fit, listed: Fit) -> bool:
+    """Whether both are far from the recordings, the curve farther from those that were not fitted.
+
+    To look what is missing beside it takes as long as the whole search before, for a name that nobody should believe.
+    """
+    return min(curve.noise_inflation, listed.noise_inflation) >= FAR and untold(curve) > untold(listed)
 
 
 def _clearly(fit: Fit, found: Explanation, needed: float) -> bool:

@@ -83,6 +83,20 @@ def test_under_a_misfit_beyond_the_noise_other_recordings_decide(drag, monkeypat
         assert module._better(slot, [], 10.0, base, search) is chosen and search.others_chose
 
 
+def test_two_that_were_found_one_beside_the_other_contend_under_a_misfit(drag, monkeypatch):
+    """As pairs and single additions do: those that tell other recordings best are taken."""
+    noisy = replace(drag.problem, noise=drag.problem.noise / 10)
+    friction, damping = (place(noisy, n, "slide", SMALL) for n in ("coulomb_friction", "viscous_damping"))
+    alone, both = fit(noisy.with_effects([friction])), fit(noisy.with_effects([friction, damping]))
+    slot = Slot(drag, (), (Ranked(friction, alone, 90.0),))
+    monkeypatch.setattr(module, "leading", lambda *_: (None, [both]))
+    monkeypatch.setattr(looks, "refine_pairs", lambda *_: [])
+    for scores, chosen in (((3, 1, 5), both), ((1.0, 1.2, 5), alone)):
+        of = dict(zip(map(id, (alone, both, drag)), scores, strict=True))
+        monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
+        assert module._better(slot, [], 10.0, drag, looks.Looks(lambda *_: None)) is chosen
+
+
 def test_two_effects_are_found_one_after_the_other_where_that_leaves_but_chance(tmp_path, monkeypatch):
     """Without trying pairs, which costs most of a search."""
 

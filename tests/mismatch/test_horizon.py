@@ -65,6 +65,16 @@ def test_a_wrong_model_stays_at_what_it_can_predict_until_it_is_mended(tmp_path)
     assert extend(mended) is mended
 
 
+def test_what_is_far_from_the_recordings_is_not_asked_to_predict_more(tmp_path, monkeypatch):
+    problem = pendulum(tmp_path, push=lambda model, data: np.copyto(data.qfrc_applied, -0.05 * data.qvel**3))
+    short = fit(problem.on(cut(problem.segments.recordings, 25)))
+    monkeypatch.setattr(horizon, "LARGEST_ERROR", np.inf)
+    assert short.noise_inflation > horizon.FAR  # measured: 419
+    assert extend(short) is short
+    monkeypatch.setattr(horizon, "FAR", np.inf)
+    assert extend(short).problem.segments.whole
+
+
 def test_of_many_short_segments_the_worst_told_and_some_others_are_fitted_while_a_misfit_stays(tmp_path, monkeypatch):
     problem = pendulum(tmp_path, push=twisted)
     every = climb(problem)

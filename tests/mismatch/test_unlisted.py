@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 from simulated import dense_evidence, fit, place, spring_problem
 
+from det2stoc_bayes.mismatch import unlisted as module
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.effects.unlisted import OverPosition, UnlistedForce, interpolated, leading, matern
 from det2stoc_bayes.mismatch.evidence import by_chance
+from det2stoc_bayes.mismatch.explain import Explanation
+from det2stoc_bayes.mismatch.looks import Looks
+from det2stoc_bayes.mismatch.race import Ranked
 from det2stoc_bayes.mismatch.unlisted import explain_by_all
 from det2stoc_bayes.mismatch.unlisted_screen import screen_unlisted
 
@@ -88,6 +92,26 @@ def test_a_listed_effect_keeps_its_name(tmp_path):
 def test_nothing_is_found_where_nothing_is_left_out(tmp_path):
     base = fit(spring_problem(tmp_path, noise=1e-3))
     assert explain_by_all(base, pool_of(base.problem)).after is base
+
+
+def test_beside_a_curve_that_is_worse_than_what_is_bad_nothing_is_looked_for(tmp_path, monkeypatch):
+    """Where both are far from the recordings; a curve that tells others better is completed."""
+    base = fit(spring_problem(tmp_path, push=pushed(LAWS["position"]), noise=1e-4))
+    listed, curve = (
+        fit(base.problem.with_effects([place(base.problem, name, "slide", TYPICAL)])) for name in NAMES[:2]
+    )
+    assert min(listed.noise_inflation, curve.noise_inflation) > module.FAR
+    monkeypatch.setattr(
+        module, "_beside", lambda *_: module._Curves([], [Ranked(curve.problem.effects[0], curve, 9.0)])
+    )
+    completed = []
+    monkeypatch.setattr(module, "_completed", lambda fit, *_: completed.append(fit) or fit)
+    monkeypatch.setattr(module, "_clearly", lambda *_: False)
+    found = Explanation(base, listed, (), 1, 1.0)
+    for told, times in (({id(listed): 2.0, id(curve): 3.0}, 0), ({id(listed): 3.0, id(curve): 2.0}, 2)):
+        monkeypatch.setattr(module, "untold", lambda f, told=told: told[id(f)])
+        completed.clear()
+        assert module.beyond_list(found, (), Looks(lambda *_: None)) is found and len(completed) == times
 
 
 def test_a_curve_goes_through_its_knots_and_bends_as_told():

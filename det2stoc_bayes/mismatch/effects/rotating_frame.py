@@ -3,6 +3,7 @@
 import numpy as np
 
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, normal, unit_columns
+from det2stoc_bayes.mismatch.effects.vectors import cross, times
 
 FULL = 2.0  # prior scale of a coefficient whose column stands at full size
 SIZES = (0.3, 1.0)  # of the prior scale, at which the centrifugal force is looked at
@@ -38,17 +39,11 @@ class RotatingFrame(Effect):
     def body_force(self, p, s, xp):
         """On the centre of mass."""
         rate = p["rate"]
-        felt = 2 * xp.cross(rate, s.velocity) + xp.cross(rate, xp.cross(rate, s.position))
+        felt = cross(rate, 2 * s.velocity + cross(rate, s.position, xp), xp)
         return -s.mass[..., None] * felt
 
     def body_torque(self, p, s, xp):
         """About it: what its own spin and the frame's make of its inertia."""
         rate, spin = p["rate"], s.spin
-        carried, own = times(s.inertia, rate, xp), times(s.inertia, spin, xp)
-        turned = times(s.inertia, xp.cross(spin, rate), xp)
-        return turned - xp.cross(spin, carried) - xp.cross(rate, own) - xp.cross(rate, carried)
-
-
-def times(matrix, vector, xp):
-    """Matrix (..., 3, 3) times vector (..., 3)."""
-    return xp.sum(matrix * vector[..., None, :], -1)
+        turned = times(s.inertia, cross(spin, rate, xp)) - cross(rate, times(s.inertia, rate + spin), xp)
+        return turned - cross(spin, times(s.inertia, rate), xp)
