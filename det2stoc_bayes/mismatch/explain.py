@@ -19,6 +19,7 @@ from det2stoc_bayes.mismatch.race import (
     Ranked,
     Slot,
     gain,
+    settled,
     threshold,
 )
 from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without, without_each
@@ -258,13 +259,27 @@ def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], l
 
 def _with_rivals(slot: Slot, own: Ranked) -> Slot:
     """What could stand in an effect's place, those that predict the same fitted from where it ended."""
-    ranked = _rivals(own, with_kin(slot, own).ranked)
+    ranked = _rivals(own, _arrived(with_kin(slot, own), own).ranked)
     fits = comparable([r.fit for r in ranked])
     if all(f is r.fit for r, f in zip(ranked, fits, strict=True)):
         return replace(slot, ranked=ranked)
     share = effective_share(max(fits, key=log_evidence))
     told = [Ranked(r.placed, f, gain(slot.base, f, share)) for r, f in zip(ranked, fits, strict=True)]
     return replace(slot, ranked=tuple(sorted(told, key=lambda r: -r.gain)))
+
+
+def _arrived(slot: Slot, own: Ranked) -> Slot:
+    """While a misfit remains, what tells other recordings about as well as an effect at its optimum.
+
+    On its way there it has less evidence than what it would predict the same as, and would be another name for it.
+    """
+    if not misses(own.fit):
+        return slot
+    score, share = (1 + NEGLIGIBLE) * untold(own.fit), effective_share(own.fit)
+    slow = [r.fit for r in slot.ranked if r.placed != own.placed and r.fit.end == "unfinished"]
+    found = settled([f for f in slow if untold(f) < score], share, len(slot.base.problem.effects))
+    fits = {r.placed: r.fit for r in slot.ranked} | {f.problem.effects[-1]: f for f in found}
+    return replace(slot, ranked=tuple(Ranked(placed, f, gain(slot.base, f, share)) for placed, f in fits.items()))
 
 
 def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:

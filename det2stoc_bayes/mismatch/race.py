@@ -177,13 +177,15 @@ def race(
         rival = best.get(f.problem.effects)
         if allowed(f, first) and (rival is None or log_evidence(f, share) > log_evidence(rival, share)):
             best[f.problem.effects] = f
-    return list(best.values()) if explained else _settled(list(best.values()), share, first)
+    if not explained:
+        leaders = sorted(best.values(), key=lambda f: -log_evidence(f, share))[:NUM_LEADERS]
+        best |= {f.problem.effects: f for f in settled(leaders, share, first)}
+    return list(best.values())
 
 
-def _settled(fits: Sequence[Fit], share: float, first: int) -> list[Fit]:
-    """The leaders at their optima: under a large misfit a race is over long before that, and the slower one may win."""
-    leaders = sorted(fits, key=lambda f: -log_evidence(f, share))[:NUM_LEADERS]
-    slow = [f for f in leaders if f.end == "unfinished" and f.noise_inflation >= MODEL_ERROR]
+def settled(fits: Sequence[Fit], share: float, first: int) -> list[Fit]:
+    """Those on their way at their optima: under a large misfit a race ends long before that, and the slower may win."""
+    slow = [f for f in fits if f.end == "unfinished" and f.noise_inflation >= MODEL_ERROR]
     on = [(f.problem, f.point) for f in slow]
     found = fit_many(on, max_iterations=MOST_ITERATIONS, tolerance=SETTLED / share) if slow else []
     better = {

@@ -7,6 +7,7 @@ import pytest
 from conftest import make_study, model_xml
 from simulated import SPRING, fit, noise_table, place, pose, recordings, spring_problem
 
+from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.mismatch import explain as module
 from det2stoc_bayes.mismatch import looks
 from det2stoc_bayes.mismatch.crossed import untold
@@ -14,6 +15,7 @@ from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import by_chance, log_evidence
 from det2stoc_bayes.mismatch.explain import explain
 from det2stoc_bayes.mismatch.race import Ranked, Slot
+from det2stoc_bayes.optimize import fit_many
 
 NO_LOOKS = looks.Looks(lambda *_: None)
 SMALL = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
@@ -172,6 +174,24 @@ def test_what_tells_other_recordings_worse_is_no_rival_under_a_misfit(drag, monk
         of = {id(own.fit): scores[0], id(rival.fit): scores[1]}
         monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
         assert module._rivals(own, (rival, own)) == expected
+
+
+def test_a_rival_on_its_way_is_held_against_an_effect_at_its_optimum(drag, monkeypatch):
+    """While a misfit remains and where it tells other recordings about as well."""
+    problem = replace(drag.problem, noise=drag.problem.noise / 10)
+    own, rival = (
+        problem.with_effects([place(problem, n, "slide", SMALL)]) for n in ("coulomb_friction", "viscous_damping")
+    )
+    bare, there, rest = fit(problem), fit(own), fit(rival)
+    point = start_point(rival, np.append(bare.point.z, np.full(rival.size - problem.size, -3.0)))
+    (early,) = fit_many([(rival, point)], max_iterations=0)
+    assert early.end == "unfinished" and log_evidence(early, 1.0) < log_evidence(rest, 1.0) - 1
+    present = Ranked(own.effects[0], there, 60.0)
+    slot = Slot(bare, (), (present, Ranked(rival.effects[0], early, 30.0)))
+    for told, expected in ((1.0, rest.chi2), (9.0, early.chi2)):
+        monkeypatch.setattr(module, "untold", lambda f, told=told: told if f is early else 1.0)
+        _, found = module._arrived(slot, present).ranked
+        assert found.fit.chi2 == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_single_recording_has_no_others_to_ask(drag, monkeypatch):
