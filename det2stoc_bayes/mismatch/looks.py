@@ -1,6 +1,6 @@
 """Looks at what could stand beside a fit, each taken once, however often the search comes by."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 from det2stoc_bayes.mismatch.effects import PlacedEffect
@@ -23,7 +23,7 @@ class Looks:
         self._slots: dict[Hypothesis, tuple[frozenset[PlacedEffect], Slot]] = {}
         self._pairs: dict[Hypothesis, dict[frozenset[PlacedEffect], Fit | None]] = {}
         self._extended: dict[int, tuple[Fit, Fit]] = {}
-        self._beside: dict[tuple[Hypothesis, frozenset[PlacedEffect]], Any] = {}
+        self._found: dict[tuple[Hypothesis, Hashable], Any] = {}
 
     def at(self, base: Fit, pool: Sequence[PlacedEffect], present: Fit | None = None) -> Slot:
         """Candidates of the pool beside a fit; of a pool that has grown since, beside the fit anew.
@@ -44,12 +44,12 @@ class Looks:
             self._extended[id(fit)] = fit, extend(fit)
         return self._extended[id(fit)][1]
 
-    def once[T](self, base: Fit, beside: Sequence[PlacedEffect], find: Callable[[], T]) -> T:
-        """What is found of these effects beside a fit, when it is asked for first."""
-        key = _key(base), frozenset(beside)
-        if key not in self._beside:
-            self._beside[key] = find()
-        return self._beside[key]
+    def once[T](self, base: Fit, what: Hashable, find: Callable[[], T]) -> T:
+        """What is found beside a fit, when it is asked for first."""
+        key = _key(base), what
+        if key not in self._found:
+            self._found[key] = find()
+        return self._found[key]
 
     def know(self, slot: Slot, pool: Sequence[PlacedEffect]) -> None:
         """Takes over what was seen before of a pool beside the slot's fit."""

@@ -105,10 +105,10 @@ def _earned(found: Explanation) -> float:
 
 def _beside(base: Fit, pool: Sequence[PlacedEffect], num_variables: int, least: float, looks: Looks) -> _Curves:
     """Curves beside a fit, those fitted that promise more than `least` nats, most evidence first."""
-    screened = screen_unlisted(base, pool, num_variables)
+    screened = looks.once(base, num_variables, lambda: screen_unlisted(base, pool, num_variables))
     least = max(least, *(PROMISING * s.log_evidence for s in screened[:1]), 0.0)
     worth = [s for s in screened if s.log_evidence > least][:NUM_REFINED]
-    return looks.once(base, [s.placed for s in worth], lambda: _fitted(base, worth))
+    return looks.once(base, frozenset(s.placed for s in worth), lambda: _fitted(base, worth))
 
 
 def _fitted(base: Fit, worth: Sequence[Screened]) -> _Curves:

@@ -94,6 +94,15 @@ def test_nothing_is_found_where_nothing_is_left_out(tmp_path):
     assert explain_by_all(base, pool_of(base.problem)).after is base
 
 
+def test_curves_beside_a_fit_are_fitted_once(tmp_path, monkeypatch):
+    """However often they are asked for, with more or less to promise."""
+    base, real, raced = fit(spring_problem(tmp_path, push=pushed(LAWS["position"]), noise=1e-3)), module.race, []
+    monkeypatch.setattr(module, "race", lambda *given: raced.append(given) or real(*given))
+    pool, looks = pool_of(base.problem), Looks(lambda *_: None)
+    first, again = (module._beside(base, pool, 1, least, looks) for least in (10.0, 11.0))
+    assert again is first and len(raced) == 1 and first.ranked
+
+
 def test_beside_a_curve_that_is_worse_than_what_is_bad_nothing_is_looked_for(tmp_path, monkeypatch):
     """Where both are far from the recordings; a curve that tells others better is completed."""
     base = fit(spring_problem(tmp_path, push=pushed(LAWS["position"]), noise=1e-4))
