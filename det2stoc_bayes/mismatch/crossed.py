@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.linearization import Point
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.mismatch.heldout import foretold
 from det2stoc_bayes.mismatch.race import tolerance
 from det2stoc_bayes.optimize import Fit, fit_many
@@ -48,6 +49,11 @@ def unseen(fit: Fit) -> dict[str, float]:
 def others_exist(fit: Fit) -> bool:
     """Whether there are recordings that were not fitted, or enough to leave some out."""
     return bool(fit.problem.simulator.study.holdout) or len(fit.problem.segments.recordings) >= FOLDS
+
+
+def misses(fit: Fit) -> bool:
+    """Whether a misfit beyond the noise stays, so that recordings that were not fitted judge."""
+    return fit.noise_inflation >= MODEL_ERROR and others_exist(fit)
 
 
 def crossed(fit: Fit) -> dict[str, float]:

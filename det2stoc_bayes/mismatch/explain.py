@@ -5,24 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.crossed import others_exist, untold
+from det2stoc_bayes.mismatch.crossed import misses, others_exist, untold
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence, log_told
-from det2stoc_bayes.mismatch.kin import truer_pair, with_kin
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_told
+from det2stoc_bayes.mismatch.horizon import extend, reaches
+from det2stoc_bayes.mismatch.kin import truer_pair
 from det2stoc_bayes.mismatch.leading import leading
 from det2stoc_bayes.mismatch.looks import Looks
-from det2stoc_bayes.mismatch.numerics import comparable
-from det2stoc_bayes.mismatch.race import (
-    NUM_PAIRS,
-    PROMISING,
-    Progress,
-    Ranked,
-    Slot,
-    gain,
-    settled,
-    threshold,
-)
+from det2stoc_bayes.mismatch.race import NUM_PAIRS, PROMISING, Progress, Ranked, Slot, gain, threshold
 from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without, without_each
+from det2stoc_bayes.mismatch.rivals import with_rivals
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 from det2stoc_bayes.optimize import Fit
 
@@ -31,7 +23,6 @@ NUM_CROSSED = 3  # single additions, and successive ones, beside pairs, that oth
 NUM_WIDE = 24  # pairs where the few best leave a misfit beyond the noise as it is
 CLEARLY = 1.0  # nats by which a rival must be ahead to take an effect's place
 INDISPENSABLE = 100.0  # nats of an effect without which nothing can be simulated
-AHEAD = 5.0  # nats by which an effect may be ahead of a rival without further question
 MAX_ROUNDS = 3  # explanations, each without what the last had in vain
 
 
@@ -65,12 +56,13 @@ def explain(
         pool = [c for c in pool if c not in useless]
         first = looks.at(before, pool)
         grown, again = grow(first, pool, threshold(count), looks)
-        if others_exist(kept) and untold(kept) <= untold(grown):
+        if others_exist(kept) and reaches(kept, grown) and untold(kept) <= untold(grown):
             grown = kept
             break
         lean = again
     if len(grown.problem.effects) == 0:
         return Explanation(before, before, (first,), count, 1.0)
+    grown, lean = _as_far_as_it_goes(grown, lean)
     if len(grown.problem.effects) == 1 and not by_chance(grown):
         own = Ranked(grown.problem.effects[0], grown, 0.0)
         grown = truer_pair(first, own, threshold(count)) or grown
@@ -78,7 +70,7 @@ def explain(
     if len(grown.problem.effects) == 1 and bare is before:
         own = next((r for r in first.ranked if r.placed == grown.problem.effects[0]), None)
         if own is not None:  # a later effect, left alone once the first was dropped, may not be there
-            slot = _with_rivals(first, own)
+            slot = with_rivals(first, own)
             after = slot.ranked[0].fit if _ahead(slot.ranked[0], _present(slot, own.placed)) else grown
             return Explanation(
                 before, after, (slot,), count, effective_share(after), looks.others_chose or misses(after)
@@ -90,9 +82,10 @@ def explain(
     return Explanation(bare, grown, slots, count, effective_share(grown), looks.others_chose or misses(grown))
 
 
-def misses(fit: Fit) -> bool:
-    """Whether a misfit beyond the noise stays, so that recordings that were not fitted judge."""
-    return fit.noise_inflation >= MODEL_ERROR and others_exist(fit)
+def _as_far_as_it_goes(grown: Fit, lean: dict[PlacedEffect, Fit]) -> tuple[Fit, dict[PlacedEffect, Fit]]:
+    """What the search ended with at the longest horizon that it serves, where fits without each effect are anew."""
+    longer = extend(grown, far=True)
+    return (grown, lean) if longer is grown else (longer, {})
 
 
 def _promising(slot: Slot, own: PlacedEffect) -> list[PlacedEffect]:
@@ -166,9 +159,9 @@ def _best_of(
 ) -> Fit | None:
     """The addition, or the two, with most evidence; None where nothing earns its place.
 
-    While all contenders leave a misfit beyond the noise, evidence favours what bends to the fitted recordings. Then the
-    one is taken that tells others best, two of which one was found beside the other (`successive`) among them; each
-    addition must explain a share of the believed model's misfit there.
+    While pairs and single ones leave a misfit beyond the noise, evidence favours what bends to the fitted recordings.
+    Then the one is taken that tells others best, two of which one was found beside the other (`successive`) among
+    them; each addition must explain a share of the believed model's misfit there.
     """
     base, single = slot.base, {r.placed: r.fit for r in slot.ranked}
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
@@ -254,44 +247,7 @@ def _judge(final: Fit, i: int, base: Fit | None, pool: Sequence[PlacedEffect], l
     if base is None:
         return Slot(final, (), (own,))
     slot = looks.at(base, pool, own.fit)
-    return _with_rivals(slot, replace(own, gain=gain(slot.base, own.fit, effective_share(final))))
-
-
-def _with_rivals(slot: Slot, own: Ranked) -> Slot:
-    """What could stand in an effect's place, those that predict the same fitted from where it ended."""
-    ranked = _rivals(own, _arrived(with_kin(slot, own), own).ranked)
-    fits = comparable([r.fit for r in ranked])
-    if all(f is r.fit for r, f in zip(ranked, fits, strict=True)):
-        return replace(slot, ranked=ranked)
-    share = effective_share(max(fits, key=log_evidence))
-    told = [Ranked(r.placed, f, gain(slot.base, f, share)) for r, f in zip(ranked, fits, strict=True)]
-    return replace(slot, ranked=tuple(sorted(told, key=lambda r: -r.gain)))
-
-
-def _arrived(slot: Slot, own: Ranked) -> Slot:
-    """While a misfit remains, what tells other recordings about as well as an effect at its optimum.
-
-    On its way there it has less evidence than what it would predict the same as, and would be another name for it.
-    """
-    if not misses(own.fit):
-        return slot
-    score, share = (1 + NEGLIGIBLE) * untold(own.fit), effective_share(own.fit)
-    slow = [r.fit for r in slot.ranked if r.placed != own.placed and r.fit.end == "unfinished"]
-    found = settled([f for f in slow if untold(f) < score], share, len(slot.base.problem.effects))
-    fits = {r.placed: r.fit for r in slot.ranked} | {f.problem.effects[-1]: f for f in found}
-    return replace(slot, ranked=tuple(Ranked(placed, f, gain(slot.base, f, share)) for placed, f in fits.items()))
-
-
-def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
-    """An effect and what could stand in its place, most evidence first.
-
-    While a misfit remains, what has about as much evidence or more must tell other recordings about as well.
-    """
-    rest = [r for r in ranked if r.placed != own.placed]
-    if misses(own.fit):
-        score = (1 + NEGLIGIBLE) * untold(own.fit)
-        rest = [r for r in rest if r.gain < own.gain - AHEAD or untold(r.fit) < score]
-    return tuple(sorted([own, *rest], key=lambda r: -r.gain))
+    return with_rivals(slot, replace(own, gain=gain(slot.base, own.fit, effective_share(final))))
 
 
 def _prune(fit: Fit, needed: float) -> tuple[Fit, dict[PlacedEffect, Fit]]:

@@ -14,7 +14,7 @@ from det2stoc_bayes.start_fit import fit_starts, searched_again
 SHORTEST = 20  # samples
 GROWTH, LEAST_GROWTH = 4, 2  # from one rung to the next; and from the last one to whole recordings
 AMPLE = 3000  # samples in short segments: under a misfit more of them cost time and decide nothing
-FAR = 100.0  # noise inflation from which on a hypothesis is held against others where it stands
+FAR = 100.0  # noise inflation from which on a search holds a hypothesis against others where it stands
 LARGEST_ERROR = 0.2  # of a column's spread: beyond it a linearization says little
 
 
@@ -81,12 +81,13 @@ def _on(problem: Problem, segments: Segments, z: np.ndarray, shorter: Fit | None
     return fit_many([(at, start_point(at, z, shorter and shorter.linear))], tolerance=0.5)[0]
 
 
-def extend(fit: Fit) -> Fit:
+def extend(fit: Fit, *, far: bool = False) -> Fit:
     """The same hypothesis at a longer horizon, where one has become possible.
 
-    What leaves a misfit far beyond the noise is wrong there, too, and would cost several times as much.
+    While a search goes on, what leaves a misfit `far` beyond the noise is not extended: later steps would cost several
+    times as much for what is likely to be added to.
     """
-    if fit.problem.segments.whole or fit.noise_inflation >= FAR:
+    if fit.problem.segments.whole or (fit.noise_inflation >= FAR and not far):
         return fit
     if fit.noise_inflation < MODEL_ERROR:
         whole = cut(fit.problem.segments.recordings, None, fit.problem.segments.columns)
@@ -95,6 +96,11 @@ def extend(fit: Fit) -> Fit:
             return longer
     # By way of shorter ones, lest it be a false optimum.
     return climb(fit.problem, fit.point.z, fit) or fit
+
+
+def reaches(fit: Fit, other: Fit) -> bool:
+    """Whether one predicts stretches at least as long as the other: rollouts are as long as these."""
+    return fit.problem.segments.extent[0] >= other.problem.segments.extent[0]
 
 
 def relative_error(fit: Fit) -> float:

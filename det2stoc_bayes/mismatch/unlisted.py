@@ -7,12 +7,12 @@ curve does, fitted from where the curve's fit ended, takes the curve's place.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from det2stoc_bayes.mismatch.crossed import others_exist, untold
+from det2stoc_bayes.mismatch.crossed import misses, others_exist, untold
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.effects.unlisted import FORMS
 from det2stoc_bayes.mismatch.evidence import by_chance, effective_share, log_evidence
-from det2stoc_bayes.mismatch.explain import Explanation, bare_fit, enough, explain, grow, judged, misses
-from det2stoc_bayes.mismatch.horizon import FAR, extend
+from det2stoc_bayes.mismatch.explain import Explanation, bare_fit, enough, explain, grow, judged
+from det2stoc_bayes.mismatch.horizon import FAR, extend, reaches
 from det2stoc_bayes.mismatch.kin import truer_pair
 from det2stoc_bayes.mismatch.looks import Looks
 from det2stoc_bayes.mismatch.race import NUM_PAIRS, Progress, Ranked, added, gain, race, threshold, tolerance
@@ -105,10 +105,12 @@ def _earned(found: Explanation) -> float:
 
 def _beside(base: Fit, pool: Sequence[PlacedEffect], num_variables: int, least: float, looks: Looks) -> _Curves:
     """Curves beside a fit, those fitted that promise more than `least` nats, most evidence first."""
-    screened = looks.once(base, num_variables, lambda: screen_unlisted(base, pool, num_variables))
+    screened = looks.once(
+        base, ("screened", num_variables, tuple(joints(pool))), lambda: screen_unlisted(base, pool, num_variables)
+    )
     least = max(least, *(PROMISING * s.log_evidence for s in screened[:1]), 0.0)
     worth = [s for s in screened if s.log_evidence > least][:NUM_REFINED]
-    return looks.once(base, frozenset(s.placed for s in worth), lambda: _fitted(base, worth))
+    return looks.once(base, ("fitted", *(s.placed for s in worth)), lambda: _fitted(base, worth))
 
 
 def _fitted(base: Fit, worth: Sequence[Screened]) -> _Curves:
@@ -156,11 +158,13 @@ def _completed(fit: Fit, found: Explanation, needed: float, looks: Looks) -> Fit
 
 
 def _hopeless(curve: Fit, listed: Fit) -> bool:
-    """Whether both are far from the recordings, the curve farther from those that were not fitted.
+    """Whether both are far from the recordings, and the curve predicts less far or those that were not fitted worse.
 
     To look what is missing beside it takes as long as the whole search before, for a name that nobody should believe.
     """
-    return min(curve.noise_inflation, listed.noise_inflation) >= FAR and untold(curve) > untold(listed)
+    if min(curve.noise_inflation, listed.noise_inflation) < FAR:
+        return False
+    return not reaches(curve, listed) or untold(curve) > untold(listed)
 
 
 def _clearly(fit: Fit, found: Explanation, needed: float) -> bool:

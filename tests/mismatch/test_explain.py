@@ -8,8 +8,8 @@ from conftest import make_study, model_xml
 from simulated import SPRING, fit, noise_table, place, pose, recordings, spring_problem
 
 from det2stoc_bayes.linearization import start_point
+from det2stoc_bayes.mismatch import crossed, looks, rivals
 from det2stoc_bayes.mismatch import explain as module
-from det2stoc_bayes.mismatch import looks
 from det2stoc_bayes.mismatch.crossed import untold
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import by_chance, log_evidence
@@ -93,7 +93,7 @@ def test_two_that_were_found_one_beside_the_other_contend_under_a_misfit(drag, m
     slot = Slot(drag, (), (Ranked(friction, alone, 90.0),))
     monkeypatch.setattr(module, "leading", lambda *_: (None, [both]))
     monkeypatch.setattr(looks, "refine_pairs", lambda *_: [])
-    for scores, chosen in (((3, 1, 5), both), ((1.0, 1.2, 5), alone)):
+    for scores, chosen in (((3, 1, 5), both), ((1.0, 0.9, 5), alone)):  # a further effect must tell 0.25 more
         of = dict(zip(map(id, (alone, both, drag)), scores, strict=True))
         monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
         assert module._better(slot, [], 10.0, drag, looks.Looks(lambda *_: None)) is chosen
@@ -172,8 +172,8 @@ def test_what_tells_other_recordings_worse_is_no_rival_under_a_misfit(drag, monk
     )
     for scores, expected in (((2, 3), (own,)), ((3, 2), (rival, own))):
         of = {id(own.fit): scores[0], id(rival.fit): scores[1]}
-        monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
-        assert module._rivals(own, (rival, own)) == expected
+        monkeypatch.setattr(rivals, "untold", lambda f, of=of: of[id(f)])
+        assert rivals._rivals(own, (rival, own)) == expected
 
 
 def test_a_rival_on_its_way_is_held_against_an_effect_at_its_optimum(drag, monkeypatch):
@@ -189,8 +189,8 @@ def test_a_rival_on_its_way_is_held_against_an_effect_at_its_optimum(drag, monke
     present = Ranked(own.effects[0], there, 60.0)
     slot = Slot(bare, (), (present, Ranked(rival.effects[0], early, 30.0)))
     for told, expected in ((1.0, rest.chi2), (9.0, early.chi2)):
-        monkeypatch.setattr(module, "untold", lambda f, told=told: told if f is early else 1.0)
-        _, found = module._arrived(slot, present).ranked
+        monkeypatch.setattr(rivals, "untold", lambda f, told=told: told if f is early else 1.0)
+        _, found = rivals._arrived(slot, present)[0].ranked
         assert found.fit.chi2 == pytest.approx(expected, rel=1e-3)
 
 
@@ -199,9 +199,10 @@ def test_a_single_recording_has_no_others_to_ask(drag, monkeypatch):
     problem = replace(drag.problem, noise=drag.problem.noise / 10)
     placed = [place(problem, n, "slide", SMALL) for n in ("coulomb_friction", "viscous_damping")]
     own, rival = (Ranked(e, fit(problem.with_effects([e])), gain) for e, gain in zip(placed, (60.0, 90.0), strict=True))
-    monkeypatch.setattr(module, "others_exist", lambda fit: False)
-    monkeypatch.setattr(module, "untold", lambda *_: pytest.fail("there are no other recordings"))
-    assert module._rivals(own, (rival, own)) == (rival, own)
+    for asked in (module, crossed):
+        monkeypatch.setattr(asked, "others_exist", lambda fit: False)
+    monkeypatch.setattr(rivals, "untold", lambda *_: pytest.fail("there are no other recordings"))
+    assert rivals._rivals(own, (rival, own)) == (rival, own)
     assert module._without_useless(drag, own.fit, {}) == (own.fit, {}, set())
     monkeypatch.setattr(looks, "refine_pairs", lambda *_: [])
     assert module._better(Slot(drag, (), (rival, own)), [], 10.0, drag, NO_LOOKS) is rival.fit
@@ -214,8 +215,8 @@ def test_a_rival_that_tells_other_recordings_about_as_well_stays(drag, monkeypat
     own, rival = (Ranked(e, fit(problem.with_effects([e])), gain) for e, gain in zip(placed, (60.0, 59.0), strict=True))
     for score, kept in ((1.02, (own, rival)), (1.5, (own,))):
         of = {id(own.fit): 1.0, id(rival.fit): score}
-        monkeypatch.setattr(module, "untold", lambda f, of=of: of[id(f)])
-        assert module._rivals(own, (own, rival)) == kept
+        monkeypatch.setattr(rivals, "untold", lambda f, of=of: of[id(f)])
+        assert rivals._rivals(own, (own, rival)) == kept
 
 
 def test_no_look_is_taken_twice(drag, monkeypatch):

@@ -1,5 +1,7 @@
 """Refining what screening puts forward."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from simulated import fit, noise_table, place, pose, recordings, spring_problem
 from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.mismatch import race as module
 from det2stoc_bayes.mismatch.effects import Typical
+from det2stoc_bayes.mismatch.evidence import by_chance
 from det2stoc_bayes.mismatch.race import look
 
 NOISE = [0.002, 0.002, 0.02, 0.02]
@@ -61,3 +64,27 @@ def test_beside_what_explains_all_but_chance_who_is_far_behind_is_not_fitted(tmp
     asked.clear()
     module.race(base, points, present=fit(base.problem.with_effects([truth])))
     assert set(asked) <= {module.SOON}
+
+
+def test_beside_what_stands_far_ahead_who_went_astray_is_given_little_time(tmp_path, monkeypatch):
+    """Though what stands there leaves a misfit."""
+
+    def push(model, data):
+        data.qfrc_applied[0] = -0.5 * abs(data.qvel[0]) * data.qvel[0] + 0.08 * np.sin(9 * data.time)
+
+    base = fit(spring_problem(tmp_path, push=push, noise=1e-3))
+    typical = Typical(force=0.5, speed=1.0, span=0.3, inertia=1.2)
+    names = ("quadratic_damping", "viscous_damping", "cubic_stiffness")
+    present, racing, lost = (fit(base.problem.with_effects([place(base.problem, n, "slide", typical)])) for n in names)
+    lost, asked = replace(lost, chi2=1e9), []
+    assert not by_chance(present)
+    monkeypatch.setattr(module, "effective_share", lambda fit: 1.0)
+    monkeypatch.setattr(module, "sketch", lambda *_, **__: [racing, lost])
+    monkeypatch.setattr(
+        module, "fit_many", lambda points, *, max_iterations, **_: asked.append(max_iterations) or [None]
+    )
+    points = [(f.problem, f.point) for f in (racing, lost)]
+    for standing, iterations in ((None, module.FURTHER), (present, module.SOON)):
+        asked.clear()
+        module.race(base, points, present=standing)
+        assert asked == [module.FURTHER, iterations]

@@ -95,7 +95,7 @@ def test_nothing_is_found_where_nothing_is_left_out(tmp_path):
 
 
 def test_curves_beside_a_fit_are_fitted_once(tmp_path, monkeypatch):
-    """However often they are asked for, with more or less to promise."""
+    """Whatever they have to promise, while it is the same ones that do."""
     base, real, raced = fit(spring_problem(tmp_path, push=pushed(LAWS["position"]), noise=1e-3)), module.race, []
     monkeypatch.setattr(module, "race", lambda *given: raced.append(given) or real(*given))
     pool, looks = pool_of(base.problem), Looks(lambda *_: None)

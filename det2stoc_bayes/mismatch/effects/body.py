@@ -3,6 +3,7 @@
 import numpy as np
 
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, normal
+from det2stoc_bayes.mismatch.effects.vectors import cross
 
 AIR = 1.2  # kg/m3
 CAPSULE, ELLIPSOID, CYLINDER, BOX = 3, 4, 5, 6  # mjtGeom; a sphere is 2
@@ -85,7 +86,7 @@ class MagnusLift(BodyEffect):
 
     def body_force(self, p, s, xp):
         """Across velocity and spin."""
-        return p["coefficient"][..., None] * xp.cross(s.spin, s.velocity)
+        return p["coefficient"][..., None] * cross(s.spin, s.velocity, xp)
 
 
 def frontal_area(shapes, sizes, xp):

@@ -1,0 +1,54 @@
+"""What could stand in an effect's place, fitted and told on equal terms."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from det2stoc_bayes.mismatch.crossed import misses, untold
+from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence
+from det2stoc_bayes.mismatch.kin import with_kin
+from det2stoc_bayes.mismatch.numerics import comparable
+from det2stoc_bayes.mismatch.race import Ranked, Slot, gain, settled
+from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
+
+AHEAD = 5.0  # nats by which an effect may be ahead of a rival without further question
+
+
+def with_rivals(slot: Slot, own: Ranked) -> Slot:
+    """What could stand in an effect's place, those that predict the same fitted from where it ended."""
+    slot, own = _arrived(with_kin(slot, own), own)
+    ranked = _rivals(own, slot.ranked)
+    fits = comparable([r.fit for r in ranked])
+    if all(f is r.fit for r, f in zip(ranked, fits, strict=True)):
+        return replace(slot, ranked=ranked)
+    share = effective_share(max(fits, key=log_evidence))
+    told = [Ranked(r.placed, f, gain(slot.base, f, share)) for r, f in zip(ranked, fits, strict=True)]
+    return replace(slot, ranked=tuple(sorted(told, key=lambda r: -r.gain)))
+
+
+def _arrived(slot: Slot, own: Ranked) -> tuple[Slot, Ranked]:
+    """While a misfit remains, rivals that tell other recordings about as well as an effect at its optimum go further.
+
+    On its way there one has less evidence than what it would predict the same as, and would be another name for it.
+    """
+    if own.fit.end == "unfinished" or not misses(own.fit):
+        return slot, own
+    score, share = (1 + NEGLIGIBLE) * untold(own.fit), effective_share(own.fit)
+    slow = [r.fit for r in slot.ranked if r.placed != own.placed and r.fit.end == "unfinished"]
+    found = settled([f for f in slow if untold(f) < score], share, len(slot.base.problem.effects))
+    if not found:
+        return slot, own
+    fits = {r.placed: r.fit for r in slot.ranked} | {f.problem.effects[-1]: f for f in found}
+    ranked = [Ranked(placed, f, gain(slot.base, f, share)) for placed, f in fits.items()]
+    return replace(slot, ranked=tuple(ranked)), replace(own, gain=gain(slot.base, own.fit, share))
+
+
+def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
+    """An effect and what could stand in its place, most evidence first.
+
+    While a misfit remains, what has about as much evidence or more must tell other recordings about as well.
+    """
+    rest = [r for r in ranked if r.placed != own.placed]
+    if misses(own.fit):
+        score = (1 + NEGLIGIBLE) * untold(own.fit)
+        rest = [r for r in rest if r.gain < own.gain - AHEAD or untold(r.fit) < score]
+    return tuple(sorted([own, *rest], key=lambda r: -r.gain))
