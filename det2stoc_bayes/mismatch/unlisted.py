@@ -44,7 +44,7 @@ def explain_by_all(before: Fit, pool: Sequence[PlacedEffect], progress: Progress
     if not joints(pool) or not others_exist(before):
         return explain(before, pool, progress)
     looks = Looks(progress)
-    return _at_once(before, pool, looks) or beyond_list(explain(before, pool, progress, looks), pool, looks)
+    return _at_once(before, pool, looks) or beyond_list(before, explain(before, pool, progress, looks), pool, looks)
 
 
 def _at_once(before: Fit, pool: Sequence[PlacedEffect], looks: Looks) -> Explanation | None:
@@ -72,13 +72,21 @@ def _at_once(before: Fit, pool: Sequence[PlacedEffect], looks: Looks) -> Explana
     return _with(best, Explanation(base, base, (first,), len(pool), 1.0), curves, pool, looks)
 
 
-def beyond_list(found: Explanation, pool: Sequence[PlacedEffect], looks: Looks) -> Explanation:
-    """The explanation, with a curve where listed effects leave a misfit that it takes away."""
+def beyond_list(before: Fit, found: Explanation, pool: Sequence[PlacedEffect], looks: Looks) -> Explanation:
+    """The explanation, with a curve where listed effects leave a misfit that it takes away.
+
+    What is far from the recordings over stretches as short as the search's, from `before` on, is not fitted to longer.
+    """
     if not _wanted(found):
         return found
     needed = threshold(_count(pool))
     for num_variables in (1, 2):
-        curves = _beside(found.before, pool, num_variables, max(PROMISING * _earned(found), needed), looks)
+        least = max(PROMISING * _earned(found), needed)
+        if found.before is not before and found.after.noise_inflation >= FAR:
+            short = _beside(before, pool, num_variables, least, looks)
+            if all(r.fit.noise_inflation >= FAR for r in short.ranked):
+                continue
+        curves = _beside(found.before, pool, num_variables, least, looks)
         for ranked in curves.ranked[:1]:
             if _hopeless(ranked.fit, found.after):
                 continue

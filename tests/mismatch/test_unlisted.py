@@ -1,5 +1,7 @@
 """Forces on no list: evidence in closed form, the variable that is told, listed effects that keep their names."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated import dense_evidence, fit, place, spring_problem
@@ -103,6 +105,22 @@ def test_curves_beside_a_fit_are_fitted_once(tmp_path, monkeypatch):
     assert again is first and len(raced) == 1 and first.ranked
 
 
+def test_a_curve_that_is_far_over_short_stretches_is_not_fitted_to_long_ones(tmp_path, monkeypatch):
+    base = fit(spring_problem(tmp_path, push=pushed(LAWS["position"]), noise=1e-4))
+    listed = fit(base.problem.with_effects([place(base.problem, NAMES[0], "slide", TYPICAL)]))
+    longer, asked = replace(base), []  # the same believed model, refitted
+    found = Explanation(longer, listed, (), 1, 1.0)
+    for inflation, bases in ((1.1 * module.FAR, [base, base]), (0.9 * module.FAR, [base, longer, base, longer])):
+        curve = replace(listed, chi2=listed.chi2 * inflation / listed.noise_inflation)
+        curves = module._Curves([], [Ranked(curve.problem.effects[0], curve, 9.0)])
+        asked.clear()
+        monkeypatch.setattr(module, "_beside", lambda at, *_, curves=curves: asked.append(at) or curves)
+        monkeypatch.setattr(module, "_completed", lambda fit, *_: fit)
+        monkeypatch.setattr(module, "_clearly", lambda *_: False)
+        assert module.beyond_list(base, found, (), Looks(lambda *_: None)) is found
+        assert [id(f) for f in asked] == [id(f) for f in bases]
+
+
 def test_beside_a_curve_that_is_worse_than_what_is_bad_nothing_is_looked_for(tmp_path, monkeypatch):
     """Where both are far from the recordings; a curve that tells others better is completed."""
     base = fit(spring_problem(tmp_path, push=pushed(LAWS["position"]), noise=1e-4))
@@ -120,7 +138,7 @@ def test_beside_a_curve_that_is_worse_than_what_is_bad_nothing_is_looked_for(tmp
     for told, times in (({id(listed): 2.0, id(curve): 3.0}, 0), ({id(listed): 3.0, id(curve): 2.0}, 2)):
         monkeypatch.setattr(module, "untold", lambda f, told=told: told[id(f)])
         completed.clear()
-        assert module.beyond_list(found, (), Looks(lambda *_: None)) is found and len(completed) == times
+        assert module.beyond_list(base, found, (), Looks(lambda *_: None)) is found and len(completed) == times
 
 
 def test_a_curve_goes_through_its_knots_and_bends_as_told():
