@@ -14,7 +14,7 @@ NEARLY_LINEAR = 100.0  # noise inflation up to which screening foretells which p
 def leading(slot: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks) -> tuple[Fit | None, list[Fit]]:
     """The best addition, where a second one beside it leaves but chance: one after the other is found soonest.
 
-    None where it does not; and fits with both, best first, on the segments of the slot.
+    Where it does not, None and the fits with both, best first, on the segments of the slot.
     """
     best, base = slot.ranked[0] if slot.ranked else None, slot.base
     if best is None or best.gain < needed or by_chance(best.fit):
@@ -26,4 +26,4 @@ def leading(slot: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Look
     # What explains most alone may be what two others look like together: those that promise more are fitted.
     rivals = looks.truer_pairs(base, slot.screened, both[0], needed) if base.noise_inflation < NEARLY_LINEAR else []
     truer = [f for f in rivals if by_chance(f) and gain(both[0], f, 1.0) > needed]
-    return truer[0] if truer else best.fit, second
+    return truer[0] if truer else best.fit, []
