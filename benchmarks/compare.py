@@ -58,13 +58,15 @@ def row(line: Mapping[str, Any]) -> str:
 def main() -> int:
     """Each method on each problem."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("problems", nargs="*", choices=[*PROBLEMS, []], default=PROBLEMS)
+    parser.add_argument("problems", nargs="*", help=f"of: {', '.join(PROBLEMS)}; all unless told")
     parser.add_argument("--methods", default=",".join((*EXACT, *OTHERS)))
     parser.add_argument("--num-samples", type=int, default=4000)
     parser.add_argument("--out", type=Path, default=Path("out/compare"))
     options = parser.parse_args()
+    if wrong := set(options.problems) - set(PROBLEMS):
+        parser.error(f"unknown problems {', '.join(sorted(wrong))}; allowed: {', '.join(PROBLEMS)}")
     print(f"| {' | '.join(HEADINGS)} |\n|{'---|' * len(HEADINGS)}")
-    for problem in options.problems:
+    for problem in options.problems or PROBLEMS:
         for line in compared(problem, options.methods.split(","), options.out, options.num_samples):
             append(LOG, {"commit": revision()} | line)
             print(row(line), flush=True)
