@@ -13,7 +13,7 @@ from det2stoc_bayes.errors import listing
 from det2stoc_bayes.posterior import DataTree
 from det2stoc_bayes.psis import bfmi, leave_one_out, reliable, thinned
 from det2stoc_bayes.report.summary import summarize
-from det2stoc_bayes.run_statistics import autocorrelation_times, divergences, energies, predictive_p
+from det2stoc_bayes.run_statistics import autocorrelation_times, divergences, energies, predictive_p, surprise_p
 from det2stoc_bayes.two_samples import c2st, gaussian_kl, mean_errors, sd_errors, sliced_wasserstein
 
 MOST_R_HAT, LEAST_ESS, LEAST_TIMES = 1.01, 400, 50  # gates of an exact run: chains, draws, autocorrelation times
@@ -91,6 +91,7 @@ class Row:
     mean_error: float | None  # the largest, in the reference's sds
     sd_error: float | None  # the largest, relative
     predictive_p: float | None  # of the squared misfit, at the posterior's draws
+    surprise_p: float | None  # of the recordings among the simulations that an amortized method learned from
     elpd: float | None  # leave-one-recording-out
     elpd_error: float | None
     elpd_k_hat: float | None
@@ -167,6 +168,7 @@ def _described(run: Run) -> Row:
         refined="k_hat" in attributes,
         **dict.fromkeys(("c2st", "wasserstein", "kl", "mean_error", "sd_error")),
         predictive_p=predictive_p(tree) if stands else None,
+        surprise_p=surprise_p(tree),
         **dict(zip(("elpd", "elpd_error", "elpd_k_hat"), elpd or (None,) * 3, strict=True)),
         seconds_compile=float(attributes["seconds_compile"]),
         seconds_run=float(attributes["seconds_run"]),

@@ -33,6 +33,11 @@ def predictive_p(tree: DataTree) -> float | None:
     return float(chi2.sf(2 * lacking.sum("recording").values, float(known["free_values"].sum())).mean())
 
 
+def surprise_p(tree: DataTree) -> float | None:
+    """p-value of the recordings among the simulations that an amortized method learned from."""
+    return float(tree["surprise"].to_dataset()["p_value"]) if _has(tree, "surprise", "p_value") else None
+
+
 def autocorrelation_times(tree: DataTree) -> float | None:
     """Autocorrelation times that an ensemble has run for."""
     if not _has(tree, "sample_stats", "autocorrelation_time"):

@@ -3,6 +3,7 @@
 from importlib.metadata import version
 
 import numpy as np
+from jaxtyping import Float
 
 from det2stoc_bayes.errors import listing
 from det2stoc_bayes.mismatch import finding
@@ -14,6 +15,8 @@ from det2stoc_bayes.mismatch.experiment import propose
 from det2stoc_bayes.mismatch.heldout import horizon_samples
 from det2stoc_bayes.mismatch.judgement import Judgement, Named
 from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond
+from det2stoc_bayes.mismatch.race import Ranked
+from det2stoc_bayes.mismatch.refit import swap
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element, excess_beyond_chance
 from det2stoc_bayes.mismatch.statements import (
     alternatives,
@@ -26,6 +29,7 @@ from det2stoc_bayes.mismatch.statements import (
     statement,
 )
 from det2stoc_bayes.mismatch.where import Condition
+from det2stoc_bayes.optimize import Fit
 
 UNLIKELY = 0.01  # tail probability under its prior at which a psi is said to lie far out
 LISTED = 4  # recordings by name in the summary
@@ -37,7 +41,7 @@ class Composer:
 
     def __init__(self, judged: Judgement, credence: Credence, when: list[Condition], seed: int):
         self.judged, self.credence, self.when, self.seed = judged, credence, when, seed
-        self.share = judged.found.share
+        self.share = judged.share
         self.study = judged.before.problem.simulator.study
 
     def compose(self, seconds: float) -> finding.Finding:
@@ -77,10 +81,9 @@ class Composer:
     def _effect(self, named: Named) -> finding.Effect:
         first, *others = named.chosen.members
         listed, psi = {}, {}
+        place = list(self.judged.after.problem.effects).index(named.placed)
         for m in (first, *others):
-            here = m.placed in self.judged.after.problem.effects
-            after = self.credence.after
-            fit, z = (after.fit, after.z) if here else (m.fit, draws(m.fit, self.share, self.seed))
+            fit, z = self._drawn(m, place)
             listed[m.placed], psi[m.placed] = parameters(fit, m.placed, z), psi_moments(fit, z)
         equally = tuple(f"{m.placed.effect.name.replace('_', ' ')} on {m.placed.element.label}" for m in others)
         return finding.Effect(
@@ -104,6 +107,17 @@ class Composer:
             alternatives=tuple(alternatives(named.rest)),
             by_recording=named.by_recording,
         )
+
+    def _drawn(self, member: Ranked, place: int) -> tuple[Fit, Float[np.ndarray, "draws size"]]:
+        """A member's posterior over the stretches of what is told: the belief's own, or draws about its fit there."""
+        judged, belief = self.judged, self.credence.after
+        if member.placed in judged.after.problem.effects:
+            return belief.fit, belief.z
+        fit = member.fit
+        if fit.problem.segments.extent != judged.after.problem.segments.extent:
+            longer = swap(judged.after, place, member)
+            fit = longer if member.placed in longer.problem.effects else fit
+        return fit, draws(fit, judged.share, self.seed)
 
     def _numerical(self) -> finding.Effect:
         numerics = self.judged.numerics

@@ -57,7 +57,7 @@ def weigh(
     progress: Progress = lambda *_: None,
 ) -> tuple[Judgement, Credence]:
     """The judgement with its leave-one-out scores checked, and how far it can be believed."""
-    rivals, share = _rivals(judged), judged.found.share
+    rivals, share = _rivals(judged), judged.share
     fits = {"before": judged.before, "after": judged.after} | rivals
     beliefs: dict[str, Belief] = {}
     for i, (name, fit) in enumerate(fits.items()):

@@ -8,7 +8,7 @@ import numpy as np
 from det2stoc_bayes.mismatch.crossed import misses, others_exist, untold
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_told
-from det2stoc_bayes.mismatch.horizon import extend, reaches
+from det2stoc_bayes.mismatch.horizon import reaches
 from det2stoc_bayes.mismatch.kin import truer_pair
 from det2stoc_bayes.mismatch.leading import leading
 from det2stoc_bayes.mismatch.looks import Looks
@@ -62,7 +62,6 @@ def explain(
         lean = again
     if len(grown.problem.effects) == 0:
         return Explanation(before, before, (first,), count, 1.0)
-    grown, lean = _as_far_as_it_goes(grown, lean)
     if len(grown.problem.effects) == 1 and not by_chance(grown):
         own = Ranked(grown.problem.effects[0], grown, 0.0)
         grown = truer_pair(first, own, threshold(count)) or grown
@@ -80,12 +79,6 @@ def explain(
         pool, lean = _promising(first, own) or pool, {own: bare}
     grown, slots = judged(grown, lean, pool, looks)
     return Explanation(bare, grown, slots, count, effective_share(grown), looks.others_chose or misses(grown))
-
-
-def _as_far_as_it_goes(grown: Fit, lean: dict[PlacedEffect, Fit]) -> tuple[Fit, dict[PlacedEffect, Fit]]:
-    """What the search ended with at the longest horizon that it serves, where fits without each effect are anew."""
-    longer = extend(grown, far=True)
-    return (grown, lean) if longer is grown else (longer, {})
 
 
 def _promising(slot: Slot, own: PlacedEffect) -> list[PlacedEffect]:

@@ -6,12 +6,13 @@ import numpy as np
 
 from det2stoc_bayes.mismatch.classes import Class, classes
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share
 from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.finding import SURE, RecordingPart
 from det2stoc_bayes.mismatch.heldout import HeldOut, held_out
+from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.numerics import Numerics, corrected
-from det2stoc_bayes.mismatch.refit import swap, without
+from det2stoc_bayes.mismatch.refit import refit, swap, without
 from det2stoc_bayes.mismatch.shares import (
     NEGLIGIBLE,
     excess_beyond_chance,
@@ -57,6 +58,7 @@ class Judgement:
     numerics_share: float
     held_before: HeldOut
     held_after: HeldOut
+    share: float  # independent samples per sample, of the fit that is told
 
     def rescored(self, held_before: HeldOut, held_after: HeldOut) -> "Judgement":
         """The same with held-out scores that are more exact, and shares by them where nothing else was scored."""
@@ -73,13 +75,19 @@ class Judgement:
 
 
 def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgement:
-    """The simplest member of each class stands for it; effects that explain next to nothing are set apart."""
-    held_before = held_out(before)
+    """The simplest member of each class stands for it; effects that explain next to nothing are set apart.
+
+    Places are judged over the stretches of the search, where rivals were fitted alike; what is told of the best
+    explanation, its parameters and its errors, is told at the longest horizon that it serves.
+    """
     places = tuple(classes(slot, found.num_candidates, found.share) for slot in found.slots)
     after = found.after
     for i, placed in enumerate(after.problem.effects):
         after = swap(after, i, _class_of(places[i], placed).members[0])
-    after = corrected(after) if after.problem.effects else after
+    if after.problem.effects:
+        before, after = _as_far_as_it_goes(before, corrected(after), numerics)
+    held_before = held_out(before)
+    told_share = found.share if after is found.after else effective_share(after)
     whole = held_out(after) if after.problem.effects else held_before
     share = 0.0
     if numerics is not None:
@@ -122,8 +130,28 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     if named and _spoils(after, held_before, held_after):
         verdict = "inconclusive"
     return Judgement(
-        verdict, before, after, found, places, tuple(named), tuple(negligible), numerics, share, held_before, held_after
+        verdict=verdict,
+        before=before,
+        after=after,
+        found=found,
+        places=places,
+        named=tuple(named),
+        negligible=tuple(negligible),
+        numerics=numerics,
+        numerics_share=share,
+        held_before=held_before,
+        held_after=held_after,
+        share=told_share,
     )
+
+
+def _as_far_as_it_goes(before: Fit, after: Fit, numerics: Numerics | None) -> tuple[Fit, Fit]:
+    """An explanation at the longest horizon that it serves, and the believed model there; as they are if it fails."""
+    longer = extend(after, far=True)
+    bare = None if longer is after else refit(longer, ())
+    if bare is None:
+        return before, after
+    return (bare if numerics is None else _at_believed_step(bare)), longer
 
 
 def _spoils(after: Fit, before: HeldOut, later: HeldOut) -> bool:

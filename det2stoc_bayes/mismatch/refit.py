@@ -46,9 +46,9 @@ def swap(fit: Fit, i: int, other: Ranked) -> Fit:
     effects = list(fit.problem.effects)
     if effects[i] == other.placed:
         return fit
-    if len(effects) == 1:
-        return other.fit
     here, there = fit.problem.segments, other.fit.problem.segments
+    if len(effects) == 1 and here.extent == there.extent:
+        return other.fit
     if here.extent == there.extent and {*effects[:i], other.placed, *effects[i + 1 :]} == {*other.fit.problem.effects}:
         effects[i] = other.placed
         point = _keep(other.fit, effects)

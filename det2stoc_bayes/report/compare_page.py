@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from det2stoc_bayes.comparison import Comparison, Row, Run
-from det2stoc_bayes.doubts import misfit
+from det2stoc_bayes.doubts import misfit, surprising
 from det2stoc_bayes.psis import reliable
 from det2stoc_bayes.report import compare_figures as figures
 from det2stoc_bayes.report import numbers, page
@@ -21,7 +21,7 @@ BADGES = {
 }  # fmt: skip
 COLUMNS = (
     "draws", "R-hat", "ESS", "ESS / s", "divergences", "BFMI", "k-hat", "C2ST", "Wasserstein [sd]", "KL [nat]",
-    "mean [sd]", "sd [%]", "predictive p", "LOO [nat]", "run [s]", "simulations",
+    "mean [sd]", "sd [%]", "predictive p", "surprise p", "LOO [nat]", "run [s]", "simulations",
 )  # fmt: skip
 MOST_PARAMETERS = 12  # in the forest
 
@@ -57,8 +57,9 @@ def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) ->
 
 
 def misfits(found: Comparison) -> list[str]:
-    """What speaks against the model under every method, once."""
-    return [said for run in found.runs if (said := misfit(run.tree))][:1]
+    """What speaks against the model: its misfit, the same under every method, and each amortized method's surprise."""
+    every = [said for run in found.runs if (said := misfit(run.tree))][:1]
+    return [*every, *(f"{run.label}: {said}" for run in found.runs if (said := surprising(run.tree)))]
 
 
 def _posterior(run: Run) -> Posterior:
@@ -77,7 +78,7 @@ def cells(row: Row) -> list[str]:
     distances = (row.c2st, row.wasserstein, row.kl, row.mean_error, percent)
     return [
         str(row.num_draws or numbers.MISSING),
-        *(_number(value) for value in (*chains, *distances, row.predictive_p)),
+        *(_number(value) for value in (*chains, *distances, row.predictive_p, row.surprise_p)),
         loo,
         _number(row.seconds_run),
         str(row.simulations),

@@ -12,9 +12,11 @@ from det2stoc_bayes import cli, verbs
 from det2stoc_bayes.comparison import Run, compare, shortcomings
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.inference import EXACT, get_method
+from det2stoc_bayes.inference._surprise import Surprise
 from det2stoc_bayes.models import linear_gaussian
+from det2stoc_bayes.posterior import with_groups
 from det2stoc_bayes.psis import leave_one_out
-from det2stoc_bayes.report.compare_page import compare_page
+from det2stoc_bayes.report.compare_page import compare_page, misfits
 from det2stoc_bayes.study import load_study
 from det2stoc_bayes.tables import compare_json
 
@@ -161,6 +163,16 @@ def test_the_page_says_what_the_table_says(comparison):
     for row in comparison.rows:
         assert row.label in page and row.verdict in page
     json.dumps(compare_json(comparison), default=float)
+
+
+@pytest.mark.parametrize(("recorded", "alarms"), [(2.0, 1), (0.5, 0)])
+def test_recordings_unlike_what_was_learned_from_speak_against_the_model(fits, recorded, alarms):
+    tree = fits("laplace").copy(deep=True)
+    told = Surprise(recorded, np.linspace(0.0, 1.0, 199))
+    found = compare([Run("npe", with_groups(tree, surprise=told.told()), "approximate")])
+    assert found.rows[0].surprise_p == told.p_value
+    said = [doubt for doubt in misfits(found) if doubt.startswith("npe: the recordings are unlike")]
+    assert len(said) == alarms, misfits(found)
 
 
 def test_the_command_draws_what_is_missing_and_nothing_twice(gaussian_study, tmp_path, monkeypatch):
