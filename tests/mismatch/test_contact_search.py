@@ -176,16 +176,14 @@ def test_many_trials_are_sifted_and_the_best_is_kept(fit, pool, monkeypatch):
     assert 0.2 * whole.gain < best.gain <= whole.gain + 1e-9
 
 
-def test_columns_are_small_where_the_windows_move_much(fit, pool):
-    """What throws windows over by its usual size is tried smaller, and never enlarged."""
+def test_columns_have_the_size_that_promises_most(fit, pool):
+    """A trial of full size stays as it is; of others all sizes are glimpsed."""
     drag = named(pool, "linear_drag")
-    factors = []
-    for times in (1e-6, 1e-3, 1.0, 1e3):
-        placed = replace(drag, typical=replace(drag.typical, force=times * drag.typical.force))
-        ((_, factor),) = screening._sifted(fit, placed)
-        factors.append(factor)
-    assert factors[0] == screening.LARGER and factors[-1] == 1.0 and factors == sorted(factors, reverse=True)
-    assert factors[0] > factors[1] > factors[-1]
+    (trial,) = drag.effect.trials(drag.typical)
+    told = {size: screening._glimpsed(fit, drag, trial, (size,))[0] for size in screening.SIZES}
+    ((_, size),) = screening._sifted(fit, drag)
+    assert told[size] == max(told.values()) > 0
+    assert screening._glimpsed(fit, drag, replace(trial, sd=1.0), screening.SIZES)[1] == 1.0
 
 
 def gaining(base, more, gains):

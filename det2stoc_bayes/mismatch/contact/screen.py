@@ -1,7 +1,7 @@
 """Ranking every effect by what its small change of the windows' predictions would gain beside psi."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,8 @@ from jaxtyping import Float
 from det2stoc_bayes.mismatch.contact.window_fit import FARTHEST_MOVE, WindowFit, steady
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
 
-LARGER = 20.0  # times the columns of smooth systems: finite differences over which contact is smooth enough
-MUCH, MOVED = 1.5, 0.95  # error scales by which a column may change this quantile of windows
+SIZES = (1.0, 5.0, 20.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
+NUM_PROBES = 4  # trials by which an effect of more of them has its size chosen
 MANY = 16  # columns of an effect whose trials are first sifted,
 SIFTED = 4  # of which the best so many are tried on all windows,
 EVERY = 4  # and the others on every so many, by differences to one side
@@ -26,6 +26,7 @@ class Promise:
     values: dict[str, Any]  # of the effect's parameters
     change: Float[np.ndarray, " size"]  # of the unknowns that are there
     moves: Float[np.ndarray, "windows states"]  # of the starts, in their sds
+    others: tuple["Promise", ...] = ()  # of the same effect's other trials, best first
 
 
 def screen(
@@ -37,28 +38,36 @@ def screen(
     for placed in pool:
         found = [_judged(fit, placed, *t) for t in _sifted(few, placed)]
         advance(1)
-        if there := [p for p in found if p is not None]:
-            out.append(max(there, key=lambda p: p.gain))
+        if there := sorted((p for p in found if p is not None), key=lambda p: -p.gain):
+            out.append(replace(there[0], others=tuple(there[1:])))
     return sorted(out, key=lambda p: -p.gain)
 
 
 def _sifted(few: WindowFit, placed: PlacedEffect) -> list[tuple[Trial, float]]:
     """An effect's trials, and how many times as large as in smooth systems their columns are to be tried.
 
-    Both by what they do to a few windows; where columns are many, only trials that promise most there.
+    Both by what they promise on a few windows; where columns are many, only trials that promise most there. A small
+    change is lost in the chaos of contact, under which predictions never agree, and moves nothing that sticks.
     """
-    out, gains = [], []
-    for trial in placed.effect.trials(placed.typical):
-        factor = 1.0 if trial.sd <= 1 else LARGER  # columns of full size are taken as they are
-        up = _changed(few, placed, trial, factor)
-        much = float(np.quantile((np.abs(up) / few.scales.values).max((2, 3)), MOVED, axis=1).max())
-        smaller = 1.0 if trial.sd <= 1 else min(1.0, max(MUCH / max(much, 1e-12), 1 / LARGER))
-        promise = _promised(few, placed, trial, np.moveaxis(up, 0, -1), factor)
-        out.append((trial, factor * smaller))
-        gains.append(promise.gain)
-    if sum(len(t.columns) for t, _ in out) <= MANY:
+    trials = list(placed.effect.trials(placed.typical))
+    sizes = SIZES
+    if len(trials) > NUM_PROBES:
+        probes = [trials[k] for k in np.linspace(0, len(trials) - 1, NUM_PROBES).astype(int)]
+        told = [max(_glimpsed(few, placed, t, (size,))[0] for t in probes) for size in SIZES]
+        sizes = (SIZES[int(np.argmax(told))],)
+    found = [_glimpsed(few, placed, t, sizes) for t in trials]
+    out = [(t, size) for t, (_, size) in zip(trials, found, strict=True)]
+    if sum(len(t.columns) for t in trials) <= MANY:
         return out
-    return [out[k] for k in np.argsort(gains)[::-1][:SIFTED]]
+    return [out[k] for k in np.argsort([-gain for gain, _ in found], kind="stable")[:SIFTED]]
+
+
+def _glimpsed(few: WindowFit, placed: PlacedEffect, trial: Trial, sizes: Sequence[float]) -> tuple[float, float]:
+    """The most that a trial promises by differences to one side, and at which size; of full size it stays as it is."""
+    sizes = sizes if trial.sd > 1 else (1.0,)
+    columns = [np.moveaxis(_changed(few, placed, trial, size), 0, -1) for size in sizes]
+    told = [_promised(few, placed, trial, c, size).gain for c, size in zip(columns, sizes, strict=True)]
+    return max(zip(told, sizes, strict=True), key=lambda pair: pair[0])
 
 
 def _judged(fit: WindowFit, placed: PlacedEffect, trial: Trial, factor: float) -> Promise | None:

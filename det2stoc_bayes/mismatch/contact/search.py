@@ -24,8 +24,10 @@ from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.shortlist import shortlist
 
 NUM_TRIED = 14  # the best candidates, where they would stand,
-NUM_REFINED = 6  # of them, which are fitted
-NUM_SETTLED = 3  # of them, which are fitted to the end
+NUM_REFINED = 6  # of them, which are fitted:
+NUM_PROMISING = 3  # those that promise most, though where they would stand starts are those of the believed model,
+ALSO = 0.3  # of what an effect's best trial promises: what another of them must
+NUM_SETTLED = 3  # of those fitted, which are fitted to the end
 NEAR, LEAST_NEAR = 0.25, 20.0  # share of the best's gain, and nats, behind which they are not
 LEAST_GAIN = 1.0  # nats below which a screened effect is not fitted
 LEAST_CERTAIN = 3.0  # standard errors of the gain over windows: of those fitted
@@ -55,7 +57,7 @@ class Round:
 def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int = 0) -> Round:
     """Screen all, fit the few best, and take the best if windows that were not fitted ask for it.
 
-    A leader's rivals are looked for once more where it ended, for psi and starts there are others.
+    A leader, and its rivals, are looked for once more where it ended, for psi and starts there are others.
     """
     others = [p for p in pool if p not in base.fit.problem.effects]
     screened = screen(base.fit, others, _counted(progress, len(others)))
@@ -65,7 +67,7 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     while found and found[0].placed not in seen and len(seen) < MOST_LEADERS and found[0].gain(base) > FEW:
         seen.append(found[0].placed)
         there = without_last(found[0])
-        promises = screen(there.fit, [p for p in others if p not in seen], _counted(progress, len(others)))
+        promises = screen(there.fit, others, _counted(progress, len(others)))
         base, found = leading(base, [*found, *refined(there, promises, progress)])
     rivals = [p.placed for p in found]
     chance = cache(lambda: gain_by_chance(base, rivals, seed, progress))  # which takes long, and is seldom asked for
@@ -102,10 +104,16 @@ def _counted(progress: Progress, total: int) -> Advance:
 
 
 def refined(ground: Pair, screened: Sequence[Promise], progress: Progress) -> list[Pair]:
-    """The best that were screened where they would stand, fitted."""
+    """Those that promise most, and those that are best where they would stand, fitted.
+
+    The first of all from every trial of it that promises something: an effect's rates and places have many optima.
+    """
     worth = shortlist([s for s in screened if s.gain > LEAST_GAIN], NUM_TRIED)
-    worth.sort(key=lambda s: added_fit(ground.fit, s, iterations=0).loss)
-    here, worth = [], worth[:NUM_REFINED]
+    first, rest = worth[:NUM_PROMISING], worth[NUM_PROMISING:]
+    rest.sort(key=lambda s: added_fit(ground.fit, s, iterations=0).loss)
+    worth = [*first, *rest][:NUM_REFINED]
+    worth += [o for s in worth[:1] for o in s.others if o.gain > ALSO * s.gain]
+    here: list[Pair] = []
     for promise in worth:
         progress("refining the best", len(here), len(worth))
         here.append(added(ground, promise))
