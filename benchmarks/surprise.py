@@ -8,7 +8,6 @@ Lines go to benchmarks/results/surprise.jsonl.
 import argparse
 import tempfile
 from pathlib import Path
-from typing import Any
 
 from logs import append
 
@@ -33,13 +32,9 @@ def main() -> int:
     for name, kind in CASES.items():
         case = make_case(options.seed, system="pendulum", **kind)
         with tempfile.TemporaryDirectory() as folder:
-            for path, content in case.encoded().items():
-                (Path(folder) / path).parent.mkdir(parents=True, exist_ok=True)
-                (Path(folder) / path).write_bytes(content)
-            study = load_study(Path(folder))
+            study = load_study(case.write(Path(folder) / "study"))
             for refine in ("none", "psis"):
-                given: dict[str, Any] = {"num_samples": options.num_samples, "refine": refine}
-                tree = verbs.fit(study, "det2stoc", seed=0, **{k: v for k, v in given.items() if v != "none"})
+                tree = verbs.fit(study, "det2stoc", num_samples=options.num_samples, refine=refine)
                 k_hat, said = (weights(tree) or (None, 0))[0], doubts(tree)
                 line = {"commit": revision(), "seed": options.seed, "concealed": name, "refine": refine}
                 line |= {"p": surprise_p(tree), "k_hat": k_hat, "doubts": said}
