@@ -15,6 +15,7 @@ from det2stoc_bayes import verbs
 from det2stoc_bayes.blind.conceal import make_case
 from det2stoc_bayes.blind.proof import revision
 from det2stoc_bayes.doubts import doubts, weights
+from det2stoc_bayes.mismatch.finding import plain
 from det2stoc_bayes.run_statistics import surprise_p
 from det2stoc_bayes.study import load_study
 
@@ -38,7 +39,7 @@ def main() -> int:
                 k_hat, said = (weights(tree) or (None, 0))[0], doubts(tree)
                 line = {"commit": revision(), "seed": options.seed, "concealed": name, "refine": refine}
                 line |= {"p": surprise_p(tree), "k_hat": k_hat, "doubts": said}
-                append(LOG, line)
+                append(LOG, plain(line))  # k-hat may be infinite
                 method = "det2stoc" if refine == "none" else "det2stoc+psis"
                 numbers = " | ".join("" if n is None else f"{n:.2g}" for n in (line["p"], k_hat))
                 print(f"| {name} | {method} | {numbers} | {' '.join(said) or 'nothing against it'} |", flush=True)
