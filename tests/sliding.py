@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 XML = """<mujoco>
-  <option timestep="0.005" integrator="implicitfast" cone="elliptic"/>
+  <option timestep="0.002" integrator="implicitfast" cone="elliptic"/>
   <worldbody>
     <geom name="table" type="plane" size="5 5 0.1" friction="0.3 0.005 0.0001"/>
     <body name="puck" pos="0 0 {}">
@@ -22,7 +22,7 @@ prior = { TruncatedNormal = { loc = 0.3, scale = 0.1, low = 0.05, high = 0.6 } }
 "qpos/*" = 5e-4
 "qvel/*" = 1e-2
 """
-TRUTH = 0.37
+TRUTH = 0.22
 NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz"), ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
@@ -37,7 +37,7 @@ def slides(height=0.02, count=4):
         rows = []
         for _ in time:
             rows.append(np.concatenate([data.qpos, data.qvel]))
-            mujoco.mj_step(model, data, 2)
+            mujoco.mj_step(model, data, 5)
         values = np.array(rows) + np.repeat([5e-4, 1e-2], [7, 6]) * random.standard_normal((len(time), 13))
         names = [f"qpos/glide/{n}" for n in NAMES[0]] + [f"qvel/glide/{n}" for n in NAMES[1]]
         out[f"r{k}"] = (time, dict(zip(names, values.T, strict=True)))

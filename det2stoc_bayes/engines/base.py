@@ -7,6 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from det2stoc_bayes.engines.observer import Observer
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 from det2stoc_bayes.segments import Segments
 
@@ -54,6 +55,7 @@ class Request:
     effects: tuple[EffectRows, ...] = ()
     timestep: float | None = None  # None: the model's own
     integrator: str | None = None
+    observer: Observer | None = None  # leads the simulations along their samples
 
 
 @dataclass(frozen=True)

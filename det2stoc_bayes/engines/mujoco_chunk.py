@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float, Int
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Trajectory
 from det2stoc_bayes.engines.layout import LONGEST_BEND, column_address
+from det2stoc_bayes.engines.mujoco_following import Follower
+from det2stoc_bayes.engines.mujoco_readings import Readings
 from det2stoc_bayes.engines.mujoco_steps import Stepper, is_stepped
 from det2stoc_bayes.segments import Commands, snapped
 
@@ -33,6 +35,7 @@ class Chunk:
         self.which, self.segments = request.which[rows], request.segments
         self.effects = [e for e in (_restrict(e, rows) for e in request.effects) if e is not None]
         self.addresses = [column_address(model, c) for c in self.segments.columns]
+        self.readings = Readings(self.segments, self.which, self.addresses, self.effects, self.dt)
         self.fields: dict[str, np.ndarray] = {}  # that simulations have for themselves
         self.before = num_before(self.effects, self.dt)
         self.stepped = any(is_stepped(e) for e in self.effects)
@@ -55,13 +58,11 @@ class Chunk:
         sources = {a.source for a in self.addresses}
         activated = bool(self.model.na) and (states or commands.around is not None)
         items = {"qpos", "qvel"} | sources | ({"act"} if activated else set())
-        stepper = None
-        if self.stepped:
-            time = self.segments.time[self.which, 0]
-            stepper = Stepper(self.model, batch, self.effects, time)
-            record = stepper.run(ctrl, sorted(items))
-        else:
-            record = self._roll(ctrl, items)
+        time = self.segments.time[self.which, 0]
+        stepper = Stepper(self.model, batch, self.effects, time) if self.stepped else None
+        if self.request.observer is not None:
+            return Follower(self, ctrl, stepper).run()
+        record = self.roll(ctrl, items) if stepper is None else stepper.run(ctrl, sorted(items))
         series = {
             "qpos": np.concatenate([start.qpos[:, None], record["qpos"]], 1),
             "qvel": np.concatenate([start.qvel[:, None], record["qvel"]], 1),
@@ -75,7 +76,12 @@ class Chunk:
             series["act"] = np.concatenate([start.act[:, None], record["act"]], 1)
         frozen = self._frozen(series["qvel"])
         bends = self._bends(series, commands, stepper)
-        columns = self._read(series, bends)
+
+        def between(source, index, rows, at):
+            straight = _interpolate(series[source][rows, :, index, None], at)[..., 0]
+            return straight + bends[source][rows, :, index] if bends else straight
+
+        columns = self.readings.of(between, np.arange(self.count), slice(None))
         # A diverged state is no prediction; the batch freezes such a simulation at its last one.
         columns[frozen] = np.nan
         columns[~np.isfinite(columns).all((1, 2)) | (np.abs(columns).max((1, 2)) > 1e9)] = np.nan
@@ -191,41 +197,22 @@ class Chunk:
         if self.model.nu:
             self.batch.bind("ctrl")[:] = ctrl
 
-    def _roll(self, ctrl, items) -> Mapping:
+    def roll(self, ctrl, items) -> Mapping:
+        """Arrays after every step that nothing but MuJoCo has a part in."""
         control = ctrl[:, :-1] if self.model.nu else None
-        record = self.batch.rollout(self.num_steps, control, int(_STATE.mjSTATE_CTRL), tuple(items))
+        record = self.batch.rollout(ctrl.shape[1] - 1, control, int(_STATE.mjSTATE_CTRL), tuple(items))
         self._command(ctrl[:, -1])
         return record
+
+    def failed(self) -> Bool[np.ndarray, " sims"]:
+        """Simulations that diverged at any time."""
+        return (self.batch.warning[:, _BAD_STATE, 1] > 0).any(1)
 
     def _frozen(self, speeds: Float[np.ndarray, "sims steps nv"]) -> Bool[np.ndarray, " sims"]:
         """Simulations that diverged before their own last sample (a shorter one may diverge after it unharmed)."""
         failed = (self.batch.warning[:, _BAD_STATE, 1] > 0).any(1)
         last = self.segments.steps(self.dt)[self.which]
         return failed & (speeds[np.arange(self.count), last] == speeds[:, -1]).all(1)
-
-    def _read(
-        self, series: Mapping[str, np.ndarray], bends: Mapping[str, np.ndarray]
-    ) -> Float[np.ndarray, "sims samples columns"]:
-        stamps = self.segments.time[self.which]
-        out = np.empty((*stamps.shape, len(self.addresses)))
-        for j, (column, address) in enumerate(zip(self.segments.columns, self.addresses, strict=True)):
-            effects = [
-                e
-                for e in self.effects
-                if e.placed.element.kind == "sensor" and e.placed.element.column in (column, "time")
-            ]
-            times = np.array(stamps)
-            for e in effects:
-                if e.placed.effect.uses("sample_time"):
-                    times[e.rows] = e.placed.effect.sample_time(e.parameters, times[e.rows], np)
-            values = series[address.source][:, :, address.index]
-            out[:, :, j] = _interpolate(values[..., None], (times - stamps[:, :1]) / self.dt)[..., 0]
-            if bends:
-                out[:, :, j] += bends[address.source][:, :, address.index]
-            for e in effects:
-                if e.placed.effect.uses("reading"):
-                    out[e.rows, :, j] = e.placed.effect.reading(e.parameters, stamps[e.rows], out[e.rows, :, j], np)
-        return out
 
 
 def num_before(effects: Sequence[EffectRows], dt: float) -> int:

@@ -13,9 +13,7 @@ from det2stoc_bayes.mismatch.contact.experiment import proposed
 from det2stoc_bayes.mismatch.contact.judge import Class, Verdict, corrected, covariance, log10_bayes, worst_column
 from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.places import shares
-from det2stoc_bayes.mismatch.contact.window_fit import WindowFit
-from det2stoc_bayes.mismatch.contact.window_starts import LOOKED_AT, smoothed
-from det2stoc_bayes.mismatch.contact.windows import STRIDE
+from det2stoc_bayes.mismatch.contact.rollouts import rollouts
 from det2stoc_bayes.mismatch.replay import replay
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element
 from det2stoc_bayes.mismatch.statements import drop, element, parameters, psi_moments, statement
@@ -31,10 +29,12 @@ class ContactComposer:
     def __init__(self, said: Verdict, when: list[Condition], seed: int):
         self.said, self.when, self.seed = said, when, seed
         self.study = said.before.fit.problem.simulator.study
-        self.draws = {"before": self._draws(said.before), "after": self._draws(said.shown)}
+        pairs = {"before": said.before, "after": said.shown}
+        self.draws = {k: self._draws(p) for k, p in pairs.items()}
+        self.runs = {k: {"fit": rollouts(p.fit), "held": rollouts(p.held)} for k, p in pairs.items()}
 
     def _draws(self, pair: Pair) -> Float[np.ndarray, "draws size"]:
-        """Of the unknowns, as normal as they are for many windows."""
+        """Of the unknowns, as normal as they are for many samples."""
         fit = pair.fit
         v = covariance(fit, self.said.replicas)
         random = np.random.default_rng(self.seed)
@@ -74,7 +74,7 @@ class ContactComposer:
                 "seed": self.seed,
                 "belief": {"before": self._belief(said.before), "after": self._belief(said.shown)},
                 "predictive_check": {"p_value": None, "worst_channel": worst, "inflation": ratio},
-                "contact": {"windows": said.before.fit.windows.count, "finer_integration": said.fine},
+                "contact": {"windows": said.before.fit.followed.count, "finer_integration": said.fine},
                 "negligible": [
                     {"name": p.placed.effect.name, "element": element(p.placed).model_dump(), "explains": s}
                     for p, s in said.negligible
@@ -129,13 +129,13 @@ class ContactComposer:
         said = self.said
         before, after = said.before, said.shown
         gain = before.held.losses - after.held.losses
-        owner = before.held.windows.recording
+        owner = before.held.followed.recording
         each = np.bincount(owner, gain) if len(gain) else np.zeros(0)
         columns = before.fit.problem.segments.columns
-        time = before.fit.problem.segments.time
-        rmse = {k: _rmse(p) for k, p in (("before", before), ("after", after))}
+        runs = {k: self.runs[k]["held"] for k in ("before", "after")}
+        rmse = {k: r.rmse() for k, r in runs.items()}
         return finding.Fit(
-            horizon_s=float(np.median(time[:, -1] - time[:, 0])),
+            horizon_s=runs["before"].horizon,
             heldout_log_density_before=-float(before.held.losses.sum()),
             heldout_log_density_after=-float(after.held.losses.sum()),
             difference=float(gain.sum()),
@@ -211,12 +211,12 @@ class ContactComposer:
         kinds = (("recordings", "fit", self.study.recordings), ("holdout", "held", self.study.holdout))
         runs = {}
         for role, name, recordings in kinds:
-            earlier, later = (_paths(getattr(p, name)) for p in (said.before, said.shown))
+            earlier, later = (self.runs[k][name].paths() for k in ("before", "after"))
             there = tuple(r for r in recordings if r.name in earlier)
             if there:
                 runs |= result.rollouts(said.before.fit, earlier, later, there, role, self.when)
         groups |= {f"rollouts/{stem}": data for stem, data in runs.items()}
-        groups |= replay(said.before.fit.problem.simulator, runs, lambda _: {})  # windows keep no states
+        groups |= replay(said.before.fit.problem.simulator, runs, lambda _: {})  # stretches keep no states
         groups["screening"] = result.ranking(self._ranking())
         return result.DataTree.from_dict(groups)
 
@@ -241,27 +241,3 @@ class ContactComposer:
 def _alternative(c: Class) -> finding.Alternative:
     placed = c.members[0].placed
     return finding.Alternative(name=placed.effect.name, element=element(placed), probability=min(c.chance, 1.0))
-
-
-def _rmse(pair: Pair) -> Float[np.ndarray, " columns"]:
-    """Of held-out windows beyond the samples that their starts are estimated from; of fitted ones if none is held."""
-    fit = pair.held if pair.held.windows.count else pair.fit
-    problem = smoothed(fit.windows.fine(), fit.z).problem
-    segments = problem.segments
-    predicted = problem.simulator.rollout(problem.request(fit.z[None], problem.guess.start))
-    error = problem.residuals(predicted).reshape(segments.values.shape)[:, LOOKED_AT:]
-    seen = segments.observed[:, LOOKED_AT:] & np.isfinite(error)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.sqrt((np.where(seen, error, 0.0) ** 2).sum((0, 1)) / seen.sum((0, 1)))
-
-
-def _paths(fit: WindowFit) -> dict[str, np.ndarray]:
-    """Predictions (samples, columns) of recordings, each sample's by the window that begins last before it."""
-    segments, predicted = fit.problem.segments, fit.windows.predicted(fit.z)
-    out = {r.name: np.full((len(r.time), len(segments.columns)), np.nan) for r in segments.recordings}
-    for s, path in enumerate(predicted):
-        record = segments.recordings[segments.recording[s]]
-        begin, length = int(segments.first[s]), int(segments.lengths[s])
-        if begin % (2 * STRIDE) == 0 or length <= STRIDE or begin + length >= len(record.time):
-            out[record.name][begin : begin + length] = path[:length]
-    return out

@@ -6,16 +6,16 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.conflict import strained
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
 from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import Scales, certainty
 from det2stoc_bayes.mismatch.contact.search import Round, alike, chances
-from det2stoc_bayes.mismatch.contact.window_fit import WindowFit, fit_windows
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 
 NUM_REPLICAS = 2
-FARTHEST = 4.0  # scales beyond which an error counts no more: one window that went the other way says little
+FARTHEST = 4.0  # scales beyond which an error counts no more: one block that went the other way says little
 MOST_LEFT = 0.5  # of the excess error that a named effect may leave unexplained
 
 
@@ -41,8 +41,8 @@ class Verdict:
     reference: Scales
     rounds: tuple[Round, ...]
     fine: bool
-    replicas: tuple[WindowFit, ...]
-    evaluations: int  # simulations of all fitted windows that the replicas took
+    replicas: tuple[ContactFit, ...]
+    evaluations: int  # simulations of all fitted recordings that the replicas took
     negligible: tuple[tuple[Pair, float], ...] = ()
 
     @property
@@ -51,17 +51,16 @@ class Verdict:
         return self.after if self.verdict == "mismatch" else self.before
 
 
-def replicas_of(fit: WindowFit, seed: int, count: int = NUM_REPLICAS) -> list[WindowFit]:
+def replicas_of(fit: ContactFit, seed: int, count: int = NUM_REPLICAS) -> list[ContactFit]:
     """Fits to what the hypothesis itself would make: the scatter and the bias of its unknowns, and its errors."""
     out = []
     for k in range(count):
-        windows = replicated(fit, np.random.default_rng([seed, k]))
-        out.append(fit_windows(windows, fit.z, iterations=3))
+        out.append(fit_followed(replicated(fit, np.random.default_rng([seed, k])), fit.z, iterations=3))
     return out
 
 
-def squares(errors: np.ndarray, reference: Scales) -> Float[np.ndarray, " windows"]:
-    """Mean squared error of each window in scales that a right model leaves, large ones cut off."""
+def squares(errors: np.ndarray, reference: Scales) -> Float[np.ndarray, " blocks"]:
+    """Mean squared error of each block in scales that a right model leaves, large ones cut off."""
     u = np.minimum((errors / reference.values) ** 2, FARTHEST**2)
     there = np.isfinite(errors)
     return np.where(there, u, 0.0).sum((1, 2)) / np.maximum(there.sum((1, 2)), 1)
@@ -72,7 +71,7 @@ def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair
     counter = final.fit.problem.simulator.counter
     begun = counter.simulations
     replicas = replicas_of(final.fit, seed)
-    evaluations = (counter.simulations - begun) // max(final.fit.windows.count, 1)
+    evaluations = (counter.simulations - begun) // max(final.fit.problem.segments.count, 1)
     pooled = np.sqrt(np.mean([r.scales.values**2 for r in replicas], axis=0))
     reference = Scales(np.maximum(pooled, 1e-300))
     level = float(np.mean([squares(r.errors, reference).mean() for r in replicas]))
@@ -102,13 +101,13 @@ def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair
 
 
 def _level(pair: Pair, reference: Scales) -> float:
-    """Mean squared error of held-out windows, of all where too few are held out."""
+    """Mean squared error of held-out blocks, of all where too few are held out."""
     held = squares(pair.held.errors, reference)
     return float(held.mean() if len(held) >= 8 else np.concatenate([held, squares(pair.fit.errors, reference)]).mean())
 
 
 def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
-    """What could stand in a place, in classes that no window tells apart, most probable first; the one taken leads."""
+    """What could stand in a place, in classes that no sample tells apart, most probable first; the one taken leads."""
     pairs = list(one.refined)
     chance = chances(pairs, random)
     left = sorted(range(len(pairs)), key=lambda i: -chance[i])
@@ -131,25 +130,24 @@ def worst_column(verdict: Verdict) -> tuple[str, float]:
     """The column whose error most exceeds what the model itself would leave, and by how many times in variance."""
     final = verdict.shown.fit
     told = np.isfinite(final.scales.values) & np.isfinite(verdict.reference.values)
-    ratio = 2 * np.log(np.where(told, final.scales.values, 1.0) / np.where(told, verdict.reference.values, 1.0))
-    by_column = np.exp(ratio.sum(0) / np.maximum(told.sum(0), 1))
-    j = int(np.where(told.any(0), by_column, 0.0).argmax())
-    return final.problem.segments.columns[j], float(by_column[j])
+    ratio = np.where(told, final.scales.values, 1.0) / np.where(told, verdict.reference.values, 1.0)
+    j = int(np.where(told, ratio, 0.0).argmax())
+    return final.problem.segments.columns[j], float(ratio[j] ** 2)
 
 
 def log10_bayes(before: Pair, after: Pair) -> float:
-    """Gain in log likelihood, horizons and columns counted once for all that are correlated."""
+    """Gain in log likelihood, what scatters over blocks taken off."""
     gains = before.losses - after.losses
     z = certainty(gains, before.owners)
     return float(min(0.5 * z * abs(z), gains.sum()) / np.log(10)) if z > 0 else 0.0
 
 
-def corrected(fit: WindowFit, replicas: tuple[WindowFit, ...]) -> list[WindowFit]:
+def corrected(fit: ContactFit, replicas: tuple[ContactFit, ...]) -> list[ContactFit]:
     """The replicas that are of this very hypothesis, by whose scatter and bias its covariance is corrected."""
     return [r for r in replicas if r.problem.effects == fit.problem.effects]
 
 
-def covariance(fit: WindowFit, replicas: tuple[WindowFit, ...]) -> Float[np.ndarray, "size size"]:
+def covariance(fit: ContactFit, replicas: tuple[ContactFit, ...]) -> Float[np.ndarray, "size size"]:
     """Of the unknowns; where replicas of this very fit show a bias, that is part of it."""
     apart = [r.z - fit.z for r in corrected(fit, replicas)]
     if not apart:

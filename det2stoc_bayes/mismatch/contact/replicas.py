@@ -1,22 +1,20 @@
-"""Windows as a model itself would make them: what noise, contact and estimated starts do when nothing is missing."""
+"""Recordings as a model itself would make them: what noise and contact do when nothing is missing."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.contact.window_fit import WindowFit
-from det2stoc_bayes.mismatch.contact.window_starts import smoothed
-from det2stoc_bayes.mismatch.contact.windows import Windows
-from det2stoc_bayes.starts import guess_starts
+from det2stoc_bayes.mismatch.contact.fit import ContactFit
+from det2stoc_bayes.mismatch.contact.followed import Followed
 
 
-def replicated(fit: WindowFit, random: np.random.Generator) -> Windows:
-    """The same windows with samples from the fit's own simulation and fresh noise, starts estimated anew."""
-    windows = fit.windows.fine()
-    problem = windows.problem
-    segments, predicted = problem.segments, windows.predicted(fit.z)
-    values = predicted + problem.noise * random.standard_normal(predicted.shape)
-    values = np.where(segments.observed & np.isfinite(values), values, np.nan)
-    made = replace(segments, values=values)
-    guess = guess_starts(problem.simulator.model, made)
-    return smoothed(windows.with_problem(replace(problem, segments=made, guess=guess)), fit.z)
+def replicated(fit: ContactFit, random: np.random.Generator) -> Followed:
+    """The same starts and times, with innovations drawn anew: the model's own motion, and samples of it."""
+    finer, fine = fit.followed.problem.finer, fit.followed.fine()
+    segments = fine.problem.segments
+    made = fine.drawn(fit.z, random)
+    values = np.where(segments.observed & np.isfinite(made), made, np.nan)
+    values[:, 0] = segments.values[:, 0]
+    problem = replace(fit.problem, finer=None).on(replace(segments, values=values))
+    followed = replace(fine, problem=problem)
+    return followed if finer is None else followed.shifted(fit.z, finer.timestep, finer.integrator)

@@ -1,4 +1,4 @@
-"""Ranking every effect by what its small change of the windows' predictions would gain beside psi."""
+"""Ranking every effect by what its small change of the predictions would gain beside psi."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.contact.window_fit import FARTHEST_MOVE, WindowFit, steady
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, steady
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
 
-SIZES = (1.0, 5.0, 20.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
-NUM_PROBES = 4  # trials by which an effect of more of them has its size chosen
-MANY = 16  # columns of an effect whose trials are first sifted,
-SIFTED = 4  # of which the best so many are tried on all windows,
-EVERY = 4  # and the others on every so many, by differences to one side
+SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
+SOME = 3  # one of so many recordings is looked at, and has its say as often
+MANY = 4  # trials of an effect beyond which they are first tried on a lone recording, by columns of the middle size,
+FEWER = 8  # of which so many are tried on
+KEPT = 2  # trials of an effect that are judged by differences to both sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,59 +25,58 @@ class Promise:
     gain: float
     values: dict[str, Any]  # of the effect's parameters
     change: Float[np.ndarray, " size"]  # of the unknowns that are there
-    moves: Float[np.ndarray, "windows states"]  # of the starts, in their sds
     others: tuple["Promise", ...] = ()  # of the same effect's other trials, best first
 
 
 def screen(
-    fit: WindowFit, pool: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda _: None
+    fit: ContactFit, pool: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda _: None
 ) -> list[Promise]:
-    """Every candidate's best trial, most gain first."""
-    few = fit.only(np.arange(0, fit.windows.count, EVERY))
+    """Every candidate's best trials, most gain first, by what they do to the recordings that are told worst."""
+    told = fit.losses.reshape(fit.problem.segments.count, -1).sum(1)
+    order = np.argsort(-told, kind="stable")
+    one, few = fit.only(order[:1]), fit.only(np.sort(order[: -(-len(order) // SOME)]))
+    share = len(order) / few.problem.segments.count
     out = []
     for placed in pool:
-        found = [_judged(fit, placed, *t) for t in _sifted(few, placed)]
+        found = _judged(few, placed, _sifted(one, few, placed))
         advance(1)
-        if there := sorted((p for p in found if p is not None), key=lambda p: -p.gain):
-            out.append(replace(there[0], others=tuple(there[1:])))
+        if found:
+            found = [replace(p, gain=share * p.gain) for p in found]
+            out.append(replace(found[0], others=tuple(found[1:])))
     return sorted(out, key=lambda p: -p.gain)
 
 
-def _sifted(few: WindowFit, placed: PlacedEffect) -> list[tuple[Trial, float]]:
-    """An effect's trials, and how many times as large as in smooth systems their columns are to be tried.
-
-    Both by what they promise on a few windows; where columns are many, only trials that promise most there. A small
-    change is lost in the chaos of contact, under which predictions never agree, and moves nothing that sticks.
-    """
-    trials = list(placed.effect.trials(placed.typical))
-    sizes = SIZES
-    if len(trials) > NUM_PROBES:
-        probes = [trials[k] for k in np.linspace(0, len(trials) - 1, NUM_PROBES).astype(int)]
-        told = [max(_glimpsed(few, placed, t, (size,))[0] for t in probes) for size in SIZES]
-        sizes = (SIZES[int(np.argmax(told))],)
-    found = [_glimpsed(few, placed, t, sizes) for t in trials]
-    out = [(t, size) for t, (_, size) in zip(trials, found, strict=True)]
-    if sum(len(t.columns) for t in trials) <= MANY:
-        return out
-    return [out[k] for k in np.argsort([-gain for gain, _ in found], kind="stable")[:SIFTED]]
+def _sifted(one: ContactFit, few: ContactFit, placed: PlacedEffect) -> list[tuple[Trial, float]]:
+    """The trials that promise most, each with the size of its columns that does."""
+    trials, sizes = list(placed.effect.trials(placed.typical)), SIZES
+    if len(trials) > MANY:
+        trials, sizes = [t for t, _ in _best(one, placed, trials, SIZES[1:2])[:FEWER]], SIZES[1:]
+    return _best(few, placed, trials, sizes)[:KEPT]
 
 
-def _glimpsed(few: WindowFit, placed: PlacedEffect, trial: Trial, sizes: Sequence[float]) -> tuple[float, float]:
-    """The most that a trial promises by differences to one side, and at which size; of full size it stays as it is."""
-    sizes = sizes if trial.sd > 1 else (1.0,)
-    columns = [np.moveaxis(_changed(few, placed, trial, size), 0, -1) for size in sizes]
-    told = [_promised(few, placed, trial, c, size).gain for c, size in zip(columns, sizes, strict=True)]
-    return max(zip(told, sizes, strict=True), key=lambda pair: pair[0])
+def _best(
+    fit: ContactFit, placed: PlacedEffect, trials: Sequence[Trial], sizes: Sequence[float]
+) -> list[tuple[Trial, float]]:
+    """Trials, best first, each by its best size; of full size they stay as they are."""
+    each = [sizes if t.sd > 1 else (1.0,) for t in trials]
+    sized = [(t, size) for t, mine in zip(trials, each, strict=True) for size in mine]
+    changes = _changes(fit, placed, sized)
+    gains = iter([_promised(fit, placed, t, up, size).gain for (t, size), up in zip(sized, changes, strict=True)])
+    best = [max((next(gains), size) for size in mine) for mine in each]
+    order = sorted(range(len(trials)), key=lambda k: -best[k][0])
+    return [(trials[k], best[k][1]) for k in order]
 
 
-def _judged(fit: WindowFit, placed: PlacedEffect, trial: Trial, factor: float) -> Promise | None:
-    up = _changed(fit, placed, trial, factor)
-    if trial.sd > 1:
-        wall = _wall(placed, trial)
-        other = _changed(fit, placed, trial, factor * (2.0 if wall else -1.0))
-        up = steady(up, other - up if wall else -other)
-    columns = np.moveaxis(up, 0, -1)
-    return _promised(fit, placed, trial, columns, factor) if columns.any() else None
+def _judged(fit: ContactFit, placed: PlacedEffect, sized: Sequence[tuple[Trial, float]]) -> list[Promise]:
+    """What trials promise by differences to both sides; best first."""
+    other = [(t, s * (2.0 if _wall(placed, t) else -1.0)) for t, s in sized]
+    changes = _changes(fit, placed, [*sized, *other])
+    out = []
+    for (trial, size), up, away in zip(sized, changes, changes[len(sized) :], strict=False):
+        if trial.sd > 1:
+            up = steady(up, away - up if _wall(placed, trial) else -away)
+        out.append(_promised(fit, placed, trial, up, size))
+    return sorted(out, key=lambda p: -p.gain)
 
 
 def _wall(placed: PlacedEffect, trial: Trial) -> bool:
@@ -85,18 +84,20 @@ def _wall(placed: PlacedEffect, trial: Trial) -> bool:
     return placed.effect.parameters[0].positive or trial.one_sided
 
 
-def _changed(
-    fit: WindowFit, placed: PlacedEffect, trial: Trial, factor: float
-) -> Float[np.ndarray, "size windows horizons columns"]:
-    """By how much each of a trial's columns, so many times as large, lessens the errors."""
+def _changes(
+    fit: ContactFit, placed: PlacedEffect, sized: Sequence[tuple[Trial, float]]
+) -> list[Float[np.ndarray, "blocks samples columns size"]]:
+    """By how much each trial's columns, so many times as large, lessen the errors."""
+    values = [_enlarged(placed, column, size) for trial, size in sized for column in trial.columns]
     with np.errstate(all="ignore"):
-        moved = fit.windows.errors_with(fit.z, placed, [_enlarged(placed, c, factor) for c in trial.columns])
-    return np.nan_to_num(fit.errors - moved)
+        moved = np.nan_to_num(fit.errors - fit.followed.errors_with(fit.z, placed, values))
+    ends = np.cumsum([len(trial.columns) for trial, _ in sized])
+    return [np.moveaxis(part, 0, -1) for part in np.split(moved, ends[:-1])]
 
 
-def _promised(fit: WindowFit, placed: PlacedEffect, trial: Trial, columns: np.ndarray, factor: float) -> Promise:
-    """The gain of one Gauss-Newton step beside psi and the starts."""
-    raw, columns = columns, fit.beside.columns(columns)
+def _promised(fit: ContactFit, placed: PlacedEffect, trial: Trial, columns: np.ndarray, factor: float) -> Promise:
+    """The gain of one Gauss-Newton step beside psi."""
+    columns = fit.weighed(columns)
     share = np.linalg.solve(fit.gram, np.einsum("wnk,wnl->kl", fit.told, columns))
     beside = columns - fit.told @ share
     sd = trial.sd / factor
@@ -107,10 +108,8 @@ def _promised(fit: WindowFit, placed: PlacedEffect, trial: Trial, columns: np.nd
         step = np.maximum(step, 0.0)
     gain, change = float(step @ total - 0.5 * step @ inner @ step), -share @ step
     if not gain > 0:
-        return Promise(placed, 0.0, dict(trial.columns[0]), np.zeros(len(fit.z)), np.zeros_like(fit.away))
-    moves = fit.beside.moves(fit.errors - raw @ step - fit.columns @ change)
-    values = placed.effect.combine(trial, step * factor, placed.typical)
-    return Promise(placed, gain, values, change, np.clip(moves, -FARTHEST_MOVE, FARTHEST_MOVE))
+        return Promise(placed, 0.0, dict(trial.columns[0]), np.zeros(len(fit.z)))
+    return Promise(placed, gain, placed.effect.combine(trial, step * factor, placed.typical), change)
 
 
 def _enlarged(placed: PlacedEffect, column: Any, factor: float) -> dict[str, Any]:

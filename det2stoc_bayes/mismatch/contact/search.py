@@ -1,4 +1,4 @@
-"""Additions to the believed model, judged by windows that were not fitted: what is named must tell those better."""
+"""Additions to the believed model, judged by recordings that were not fitted: what is named must tell those better."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,41 +7,30 @@ from functools import cache
 import numpy as np
 from jaxtyping import Bool, Float
 
-from det2stoc_bayes.mismatch.contact.exchange import exchanged
-from det2stoc_bayes.mismatch.contact.pair import (
-    Pair,
-    added,
-    added_fit,
-    exchanged_pairs,
-    resettled,
-    without_last,
-)
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
+from det2stoc_bayes.mismatch.contact.pair import Pair, finished, nearer, paired, remembered, sketched, without_last
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise, screen
-from det2stoc_bayes.mismatch.contact.window_fit import fit_windows
 from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.shortlist import shortlist
 
-NUM_TRIED = 14  # the best candidates, where they would stand,
-NUM_REFINED = 6  # of them, which are fitted:
-NUM_PROMISING = 3  # those that promise most, though where they would stand starts are those of the believed model,
+NUM_SKETCHED = 10  # the most promising candidates, of which some steps are made,
+NUM_REFINED = 5  # and the best of them, which are fitted to the end
 ALSO = 0.3  # of what an effect's best trial promises: what another of them must
-NUM_SETTLED = 3  # of those fitted, which are fitted to the end
-NEAR, LEAST_NEAR = 0.25, 20.0  # share of the best's gain, and nats, behind which they are not
-LEAST_GAIN = 1.0  # nats below which a screened effect is not fitted
-LEAST_CERTAIN = 3.0  # standard errors of the gain over windows: of those fitted
-HELD_CERTAIN = 2.0  # and of those held out
-FEW = 60.0  # nats: a gain which few windows may have, that by far is not chance's
-HELD_GAIN = 3.0  # nats of it on windows held out
+LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less is not fitted
+MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
+NEAR, LEAST_NEAR = 0.05, 30.0  # share of the best's gain, and nats, behind which none comes near any more
+LEAST_CERTAIN = 3.0  # standard errors of the gain over blocks: of those fitted
+HELD_GAIN = 3.0  # nats of it on recordings held out
 TIMES = 3.0  # what chance gains at most
 NUM_CHANCES = 3  # data sets that the base itself makes
-LUCK = 4.0  # nats by which fits of the same hypothesis differ
-MAX_EFFECTS = 2
-MOST_LEADERS = 2  # whose rivals are looked for where the leader ended
-LEAST_WINDOWS = 8  # that are held out, or nothing is decided by them
+LUCK = 2.0  # nats by which fits of the same hypothesis differ
+MAX_EFFECTS = 3
+LOOK_AGAIN = 30.0  # nats of a leader, whose rivals are looked for once more where it ended
+LEAST_BLOCKS = 8  # that are held out, or nothing is decided by them
 Progress = Callable[[str, int, int], None]
-Advance = Callable[[int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,111 +44,102 @@ class Round:
 
 
 def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int = 0) -> Round:
-    """Screen all, fit the few best, and take the best if windows that were not fitted ask for it.
+    """Screen all, fit the few best, and take the best if recordings that were not fitted ask for it.
 
-    A leader, and its rivals, are looked for once more where it ended, for psi and starts there are others.
+    A leader's rivals are looked for once more where it ended, for psi is another there.
     """
     others = [p for p in pool if p not in base.fit.problem.effects]
-    screened = screen(base.fit, others, _counted(progress, len(others)))
-    found = refined(base, screened, progress)
-    base, found = leading(base, found)
-    seen: list[PlacedEffect] = []
-    while found and found[0].placed not in seen and len(seen) < MOST_LEADERS and found[0].gain(base) > FEW:
-        seen.append(found[0].placed)
-        there = without_last(found[0])
-        promises = screen(there.fit, others, _counted(progress, len(others)))
-        base, found = leading(base, [*found, *refined(there, promises, progress)])
+    ground = nearer(base.fit)
+    screened = _screened(ground, others, progress)
+    least = LEAST_PROMISE * threshold(len(others))
+    found = refined(base, ground, [s for s in screened if s.gain > least], progress)
+    if found and found[0].gain(base) > LOOK_AGAIN:
+        there = nearer(without_last(found[0], ground.followed.memory))
+        again = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
+        again = refined(base, there, [s for s in again if s.gain > least], progress)
+        found = best_of_each([*found, *again])
+    found = near_remembered(base, found, progress)
     rivals = [p.placed for p in found]
     chance = cache(lambda: gain_by_chance(base, rivals, seed, progress))  # which takes long, and is seldom asked for
-    taken = next((p for p in found[:NUM_SETTLED] if earns(base, p, chance)), None)
-    if taken is not None:
-        base, found = settled_down(base, found, taken, progress)
-        taken = found[0]
+    taken = found[0] if found and earns(base, found[0], threshold(len(others)), chance) else None
     return Round(base, tuple(screened), tuple(found), taken)
 
 
-def settled_down(base: Pair, found: Sequence[Pair], taken: Pair, progress: Progress) -> tuple[Pair, list[Pair]]:
-    """What is taken and those near it, fitted to the end, before they are compared; the best of them first."""
-    near = taken.heights.sum() + max(NEAR * taken.gain(base), LEAST_NEAR)
-    rivals = [p for p in found if p.heights.sum() < near][:NUM_SETTLED]
-    rivals = rivals if taken in rivals else [*rivals, taken]
-    done = []
-    for k, rival in enumerate(rivals):
-        progress("settling the best", k, len(rivals))
-        done.append(resettled(rival))
-    progress("settling the best", len(rivals), len(rivals))
-    base, found = leading(base, [*done, *found])
-    first = [p for p in found if p.placed in {r.placed for r in rivals}]
-    return base, [*first, *(p for p in found if p not in first)]
-
-
-def _counted(progress: Progress, total: int) -> Advance:
+def _screened(fit: ContactFit, pool: Sequence[PlacedEffect], progress: Progress) -> list[Promise]:
     done = [0]
 
     def advance(n: int) -> None:
         done[0] += n
-        progress("screening effects", done[0], total)
+        progress("screening effects", done[0], len(pool))
 
-    return advance
-
-
-def refined(ground: Pair, screened: Sequence[Promise], progress: Progress) -> list[Pair]:
-    """Those that promise most, and those that are best where they would stand, fitted.
-
-    The first of all from every trial of it that promises something: an effect's rates and places have many optima.
-    """
-    worth = shortlist([s for s in screened if s.gain > LEAST_GAIN], NUM_TRIED)
-    first, rest = worth[:NUM_PROMISING], worth[NUM_PROMISING:]
-    rest.sort(key=lambda s: added_fit(ground.fit, s, iterations=0).loss)
-    worth = [*first, *rest][:NUM_REFINED]
-    worth += [o for s in worth[:1] for o in s.others if o.gain > ALSO * s.gain]
-    here: list[Pair] = []
-    for promise in worth:
-        progress("refining the best", len(here), len(worth))
-        here.append(added(ground, promise))
-    if worth:
-        progress("refining the best", len(worth), len(worth))
-    return here
+    return screen(fit, pool, advance)
 
 
-def leading(base: Pair, found: Sequence[Pair]) -> tuple[Pair, list[Pair]]:
-    """All from the likeliest starts, the base apart; of each addition the best alone, best first."""
-    base, *pairs = exchanged_pairs([base, *found])
+def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progress: Progress) -> list[Pair]:
+    """Those that promise most, fitted; the first of all from every trial of it that promises something."""
+    worth = shortlist(screened, NUM_SKETCHED)
+    worth += [o for s in worth[:3] for o in s.others if o.gain > ALSO * s.gain]
+    sketches: list[ContactFit] = []
+    for k, promise in enumerate(worth):
+        progress("refining the best", k, len(worth) + NUM_REFINED)
+        sketches.append(sketched(ground, promise))
+    sketches.sort(key=lambda f: f.loss)
+    pairs: list[Pair] = []
+    for k, sketch in enumerate(sketches[:NUM_REFINED]):
+        progress("refining the best", len(worth) + k, len(worth) + NUM_REFINED)
+        pairs.append(paired(finished(sketch), base.held.followed))
+    progress("refining the best", 1, 1)
+    return best_of_each(pairs)
+
+
+def near_remembered(base: Pair, found: Sequence[Pair], progress: Progress) -> list[Pair]:
+    """Best first, the best and those near it each with the memory that serves it best."""
+    if not found:
+        return []
+    near = found[0].height + max(NEAR * found[0].gain(base), LEAST_NEAR)
+    rivals = [p for p in found if p.height <= near]
+    done = []
+    for k, rival in enumerate(rivals):
+        progress("remembering longer", k, len(rivals))
+        done.append(remembered(rival))
+    progress("remembering longer", 1, 1)
+    return best_of_each([*done, *found])
+
+
+def best_of_each(pairs: Sequence[Pair]) -> list[Pair]:
+    """Of each addition the best fit alone, best first."""
     first: dict[PlacedEffect, Pair] = {}
-    for pair in sorted(pairs, key=lambda p: p.heights.sum()):
+    for pair in sorted(pairs, key=lambda p: p.height):
         first.setdefault(pair.placed, pair)
-    return base, list(first.values())
+    return list(first.values())
 
 
-def earns(base: Pair, more: Pair, chance: Callable[[], float]) -> bool:
-    """Whether an addition tells fitted and held-out windows better than chance does.
+def earns(base: Pair, more: Pair, needed: float, chance: Callable[[], float]) -> bool:
+    """Whether an addition tells fitted and held-out recordings better than chance does.
 
-    Either most windows say so, or few do by far more than `chance`, what is gained on data of the base's own making.
+    Either most blocks say so, or few do by far more than `chance`, what is gained on data of the base's own making.
     """
-    if not (more.fit.z > more.fit.problem.floor + 1e-6).all():
+    if not (more.fit.z > more.fit.problem.floor + 1e-6).all() or more.gain(base) < needed:
         return False
-    gains = base.heights - more.heights
-    fitted = np.arange(len(gains)) < more.fit.windows.count
+    gains = base.losses - more.losses
+    fitted = np.arange(len(gains)) < more.fit.followed.count
     sure = certainty(gains[fitted], more.owners[fitted])
-    if more.held.windows.count < LEAST_WINDOWS:
-        return sure > LEAST_CERTAIN + HELD_CERTAIN
-    if sure >= LEAST_CERTAIN and certainty(gains[~fitted], more.owners[~fitted]) > HELD_CERTAIN:
-        return True
-    if gains.sum() <= FEW or gains[~fitted].sum() < HELD_GAIN:
+    if more.held.followed.count < LEAST_BLOCKS:
+        return sure > 2 * LEAST_CERTAIN
+    if gains[~fitted].sum() < HELD_GAIN:
         return False
-    return bool(gains[fitted].sum() > TIMES * chance())
+    return sure >= LEAST_CERTAIN or bool(gains[fitted].sum() > TIMES * chance())
 
 
 def gain_by_chance(base: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress) -> float:
-    """The most that these gain on fitted windows as the base itself would make them."""
+    """The most that these gain on fitted recordings as the base itself would make them."""
     best = 0.0
     for k in range(NUM_CHANCES):
         progress("measuring chance", k, NUM_CHANCES)
-        windows = replicated(base.fit, np.random.default_rng([seed, 7, k]))
-        fit = fit_windows(windows, base.fit.z, iterations=3)
-        worth = [s for s in screen(fit, rivals) if s.gain > LEAST_GAIN][:NUM_SETTLED]
-        fit, *rest = exchanged([fit, *(added_fit(fit, p) for p in worth)])
-        best = max([best, *(float(fit.heights.sum() - more.heights.sum()) for more in rest)])
+        followed = replicated(base.fit, np.random.default_rng([seed, 7, k]))
+        fit = fit_followed(followed, base.fit.z, iterations=3)
+        worth = screen(fit, rivals)
+        best = max([best, *(float(fit.losses.sum() - sketched(fit, p).losses.sum()) for p in worth)])
     progress("measuring chance", NUM_CHANCES, NUM_CHANCES)
     return best
 
@@ -170,15 +150,16 @@ def chances(pairs: Sequence[Pair], random: np.random.Generator, count: int = 400
     Fits from other starts end a few nats apart: so much of a lead is luck.
     """
     _, groups = np.unique(pairs[0].owners, return_inverse=True)
-    losses = np.stack([np.bincount(groups, p.heights) for p in pairs], 1)
-    losses = losses + np.array([0.5 * p.placed.size for p in pairs]) / len(losses)
+    losses = np.stack([np.bincount(groups, p.losses) for p in pairs], 1)
+    rest = np.array([p.height - p.losses.sum() for p in pairs])
     weights = random.dirichlet(np.ones(len(losses)), count) * len(losses)
-    best = (weights @ losses + LUCK * random.standard_normal((count, len(pairs)))).argmin(1)
+    best = (weights @ losses + rest + LUCK * random.standard_normal((count, len(pairs)))).argmin(1)
     return np.bincount(best, minlength=len(pairs)) / count
 
 
 def alike(a: Pair, b: Pair) -> Bool[np.ndarray, ""]:
-    """Whether two hypotheses predict the same, within a small part of what they leave."""
+    """Whether two hypotheses predict the same, within a small part of the noise."""
+    if a.fit.followed.memory != b.fit.followed.memory or abs(a.height - b.height) > LUCK:
+        return np.asarray(False)
     apart = (a.fit.errors - b.fit.errors) / a.fit.scales.values
-    near = np.nanmean(np.minimum(apart**2, 9.0)) < 0.05
-    return np.asarray(near and abs(certainty(a.heights - b.heights, a.owners)) < 2.0)
+    return np.asarray(np.nanmean(np.minimum(apart**2, 9.0)) < 0.05)

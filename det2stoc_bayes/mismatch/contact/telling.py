@@ -1,31 +1,40 @@
-"""Which horizons and columns a model tells at all: what it foretells worse than nothing does has no say."""
+"""Which columns a model tells at all: what it foretells worse than no model does has no say."""
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.scales import scales_of
-from det2stoc_bayes.mismatch.contact.window_fit import WindowFit
 
-WORSE = 1.05  # times the scale of errors that need no model
+NUM_LAST = 3  # samples whose mean foretells the next one of what hardly moves
 
 
-def telling(fit: WindowFit) -> Bool[np.ndarray, "horizons columns"]:
-    """Horizons and columns predicted about as well as by the window's first value or by all windows' middle one.
+def telling(fit: ContactFit) -> Bool[np.ndarray, " columns"]:
+    """Columns that are foretold as well as by their median over all samples, or by their last samples' mean.
 
-    How a body that lies flat rattles depends on contact alone. Windows whose predictions of that are mostly wrong ask
-    for a sensor that shows less of it, whatever else is missing. All, if nothing is told.
+    How a body that lies flat rattles depends on contact alone. Where simulations rattle and the body does not, a sensor
+    that shows less of it would be told, whatever else is missing. All, if nothing is told.
     """
-    windows = fit.windows
-    segments = windows.problem.segments
-    values = segments.values[:, list(windows.horizons)] / windows.problem.noise
-    first = segments.values[:, :1] / windows.problem.noise
-    mine = fit.scales.values
-    heard = np.isfinite(mine)
-    for other in (values - first, values - _middle(values)):
-        heard &= mine <= WORSE * scales_of(np.where(windows.observed, other, np.nan)).values
-    return heard if heard.any() else np.isfinite(mine)
+    problem, followed = fit.problem, fit.followed
+    values = problem.segments.values / problem.noise
+    mine = _told(fit.errors * np.exp(followed.log_spread))
+    others = [values - np.nanmedian(values, axis=(0, 1)), values - _last(values)]
+    rest = [_told(followed.in_blocks_of_noise(o)) for o in others]
+    heard = mine <= np.min(rest, axis=0)
+    return heard if heard.any() else np.ones_like(heard)
 
 
-def _middle(values: Float[np.ndarray, "windows horizons columns"]) -> Float[np.ndarray, "horizons columns"]:
-    there = np.isfinite(values)
-    return np.nanmedian(np.where(there.any(0), values, 0.0), axis=0)
+def _told(errors: Float[np.ndarray, "blocks samples columns"]) -> Float[np.ndarray, " columns"]:
+    """-log likelihood of each column's errors in noise sds."""
+    scales = scales_of(errors)
+    return np.array([scales.only(j).losses(errors[..., [j]]).sum() for j in range(errors.shape[2])])
+
+
+def _last(values: Float[np.ndarray, "recordings samples columns"]) -> np.ndarray:
+    """The mean of the samples before each one."""
+    out = np.full_like(values, np.nan)
+    for j in range(1, values.shape[1]):
+        part = values[:, max(j - NUM_LAST, 0) : j]
+        there = np.isfinite(part)
+        out[:, j] = np.where(there, part, 0.0).sum(1) / np.where(there.any(1), there.sum(1), np.nan)
+    return out

@@ -1,0 +1,121 @@
+"""Simulations in C that an observer leads along recorded samples."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from det2stoc_bayes.engines.base import Trajectory
+from det2stoc_bayes.engines.observer import Places, corrected
+from det2stoc_bayes.segments import TIME_SLACK
+
+if TYPE_CHECKING:
+    from det2stoc_bayes.engines.mujoco_chunk import Chunk
+    from det2stoc_bayes.engines.mujoco_steps import Stepper
+
+
+class Follower:
+    """One chunk's states at every step, before (`ahead`) and after (`led`) the correction that falls on it."""
+
+    def __init__(self, chunk: "Chunk", ctrl: np.ndarray, stepper: "Stepper | None"):
+        self.chunk, self.ctrl, self.stepper = chunk, ctrl, stepper
+        self.model, self.batch = chunk.model, chunk.batch
+        segments, observer = chunk.segments, chunk.request.observer
+        assert observer is not None
+        self.gains = observer.gains[chunk.which]
+        self.values = observer.values[chunk.which]
+        self.seen, self.drawn = observer.seen[chunk.which], observer.drawn
+        self.places = Places(self.model, segments.columns)
+        self.at = segments.in_steps(chunk.dt)[chunk.which]
+        self.step = np.ceil(self.at - TIME_SLACK).astype(int)  # the first one that is not before the sample
+        sources = {a.source for a in chunk.addresses}
+        self.sensors = "sensordata" in sources
+        names = ["qpos", "qvel", *(["act"] if self.model.na else []), *(["sensordata"] if self.sensors else [])]
+        self.live = {n: self.batch.bind(n) for n in names}
+        count = chunk.num_steps + 1
+        self.led = {n: np.empty((chunk.count, count, a.shape[1])) for n, a in self.live.items()}
+        self.ahead = {n: np.empty_like(a) for n, a in self.led.items()}
+
+    def run(self) -> Trajectory:
+        """Predictions of every sample from those before it, and the states after its correction."""
+        chunk = self.chunk
+        rows, samples = self.at.shape
+        columns = np.full((rows, samples, len(chunk.addresses)), np.nan)
+        states = {n: np.zeros((rows, samples, self.live[n].shape[1])) for n in self.live if n != "sensordata"}
+        self._keep(0)
+        new = np.diff(self.at, axis=1, prepend=-1.0) > 0
+        for j in range(samples):
+            for step in np.unique(self.step[new[:, j], j]):
+                self._advance(int(step))
+                self._lead(j, np.flatnonzero(new[:, j] & (self.step[:, j] == step)), columns, states)
+        self._advance(chunk.num_steps)
+        for j in range(1, samples):
+            same = ~new[:, j]
+            columns[same, j] = columns[same, j - 1]
+            for a in states.values():
+                a[same, j] = a[same, j - 1]
+        columns[chunk.failed()] = np.nan
+        columns[~np.isfinite(columns).all((1, 2)) | (np.abs(columns).max((1, 2)) > 1e9)] = np.nan
+        empty = np.empty((*columns.shape[:2], 0))
+        return Trajectory(columns, states["qpos"], states["qvel"], states.get("act", empty))
+
+    def _keep(self, step: int) -> None:
+        if self.sensors:
+            self.batch.forward()
+        for n, a in self.live.items():
+            self.ahead[n][:, step] = a
+            self.led[n][:, step] = a
+        self.done = step
+
+    def _advance(self, step: int) -> None:
+        """Simulate up to a step."""
+        begin = self.done
+        if step <= begin:
+            return
+        ctrl = self.ctrl[:, begin : step + 1]
+        items = [n for n in self.live if n != "sensordata"]
+        if self.stepper is not None:
+            record = self.stepper.run(ctrl, sorted(self.live))
+        else:
+            record = self.chunk.roll(ctrl, set(self.live))
+        for n in items:
+            self.ahead[n][:, begin + 1 : step + 1] = record[n]
+            self.led[n][:, begin + 1 : step + 1] = record[n]
+        if self.sensors:
+            self.ahead["sensordata"][:, begin:step] = record["sensordata"]
+            self.led["sensordata"][:, begin:step] = record["sensordata"]
+            self.batch.forward()
+            self.ahead["sensordata"][:, step] = self.led["sensordata"][:, step] = self.live["sensordata"]
+        self.done = step
+
+    def _lead(self, j: int, rows: Int[np.ndarray, " rows"], columns: np.ndarray, states: dict) -> None:
+        """Read off sample j of some simulations, and correct their states by it."""
+        chunk, at = self.chunk, self.at[rows, j]
+        columns[rows, j] = chunk.readings.of(self._read, rows, slice(j, j + 1))[:, 0]
+        values = self.values[rows, j] + (columns[rows, j] if self.drawn else 0.0)
+        error = self.places.errors(columns[rows, j], values)
+        error = np.where(self.seen[rows, j] & (np.abs(error) < 1e6), error, 0.0)
+        gain = self.gains[rows, j]
+        there = {n: self._between(n, rows, at) for n in states}
+        place, push = corrected(self.model, there["qpos"], gain, error)
+        for n, value in {**there, "qpos": place, "qvel": there["qvel"] + push}.items():
+            states[n][rows, j] = value
+        if not gain.any():
+            return
+        moved, push = corrected(self.model, self.live["qpos"][rows], gain, error)
+        self.live["qpos"][rows] = moved
+        self.live["qvel"][rows] += push
+        if self.stepper is not None:
+            self.stepper.past[rows] += push
+        for n in ("qpos", "qvel"):
+            self.led[n][rows, self.done] = self.live[n][rows]
+
+    def _read(self, name: str, index: int, rows: np.ndarray, at: Float[np.ndarray, "rows one"]) -> np.ndarray:
+        return self._between(name, rows, at[:, 0])[:, [index]]
+
+    def _between(self, name: str, rows: np.ndarray, at: Float[np.ndarray, " rows"]) -> np.ndarray:
+        """The state at a time in steps, as foretold from what was before."""
+        low = np.clip(np.ceil(at - TIME_SLACK).astype(int) - 1, 0, max(self.done - 1, 0))
+        share = (at - low)[:, None]
+        high = np.minimum(low + 1, self.done)
+        return (1 - share) * self.led[name][rows, low] + share * self.ahead[name][rows, high]

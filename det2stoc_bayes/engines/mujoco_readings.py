@@ -1,0 +1,55 @@
+"""What recorded columns show of simulated states: sensors that are late, biased or scaled among them."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from det2stoc_bayes.engines.base import EffectRows
+from det2stoc_bayes.engines.layout import ColumnAddress
+from det2stoc_bayes.segments import Segments
+
+# The number `index` of an array, (source, index, simulations, steps from the start (rows, samples)) -> (rows, samples)
+type Between = Callable[[str, int, np.ndarray, np.ndarray], np.ndarray]
+
+
+class Readings:
+    """Columns of simulations, each of which follows segment `which` by steps of `dt` seconds."""
+
+    def __init__(
+        self,
+        segments: Segments,
+        which: Int[np.ndarray, " sims"],
+        addresses: Sequence[ColumnAddress],
+        effects: Sequence[EffectRows],
+        dt: float,
+    ):
+        self.segments, self.which, self.dt = segments, which, dt
+        self.columns = list(zip(segments.columns, addresses, strict=True))
+        self.effects = [e for e in effects if e.placed.element.kind == "sensor"]
+
+    def of(
+        self, between: Between, rows: Int[np.ndarray, " rows"], samples: slice
+    ) -> Float[np.ndarray, "rows samples columns"]:
+        """Some samples of some simulations, from states that `between` tells."""
+        stamps = self.segments.time[self.which[rows], samples]
+        begin = self.segments.time[self.which[rows], 0]
+        out = np.empty((*stamps.shape, len(self.columns)))
+        for j, (column, address) in enumerate(self.columns):
+            mine = [self._inside(e, rows) for e in self.effects if e.placed.element.column in (column, "time")]
+            times = np.array(stamps)
+            for effect, there, parameters in mine:
+                if effect.uses("sample_time"):
+                    times[there] = effect.sample_time(parameters, times[there], np)
+            out[:, :, j] = between(address.source, address.index, rows, (times - begin[:, None]) / self.dt)
+            for effect, there, parameters in mine:
+                if effect.uses("reading"):
+                    out[there, :, j] = effect.reading(parameters, stamps[there], out[there, :, j], np)
+        return out
+
+    @staticmethod
+    def _inside(e: EffectRows, rows: Int[np.ndarray, " rows"]):
+        """The effect, in which of the rows it acts, and its parameters there."""
+        there = np.flatnonzero((rows >= e.rows.start) & (rows < e.rows.stop))
+        parameters = {name: values[rows[there] - e.rows.start] for name, values in e.parameters.items()}
+        return e.placed.effect, there, parameters

@@ -1,0 +1,205 @@
+"""The most likely unknowns of a hypothesis on followed recordings, by Gauss-Newton steps.
+
+Some samples make or break a contact, where a derivative is a thousand times the others': finite differences are wide,
+errors are Student-t, and a step is kept only if the likelihood itself, which needs no derivative, says so.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.mismatch.contact.scales import Scales, scales_of, scatter
+from det2stoc_bayes.problem import Problem
+
+STEPS = (0.2, 0.04, 0.008)  # prior sds to either side: the first over which predictions are smooth enough
+SMOOTH = 0.7  # share of a sensitivity's square that both sides agree on
+AGREE = 0.3  # relative difference of the slopes to either side beyond which a sensitivity is chaos
+FRACTIONS = (3.0, 1.0, 0.3, 0.1)  # of a step
+LARGEST_STEP = 2.0  # prior sds at once
+ITERATIONS = 10
+SETTLED = 0.1  # nats
+FARTHEST = 5.0  # prior sds of psi from its median
+
+
+@dataclass(frozen=True, eq=False)
+class ContactFit:
+    """A hypothesis at its most likely unknowns."""
+
+    followed: Followed
+    z: Float[np.ndarray, " size"]
+    errors: Float[np.ndarray, "blocks samples columns"]
+    scales: Scales
+
+    @property
+    def problem(self) -> Problem:
+        """The hypothesis."""
+        return self.followed.problem
+
+    @cached_property
+    def columns(self) -> Float[np.ndarray, "blocks samples columns size"]:
+        """Sensitivities of the prediction to the unknowns, in noise sds."""
+        return _columns(self.followed, self.z, self.errors)
+
+    @cached_property
+    def losses(self) -> Float[np.ndarray, " blocks"]:
+        """-log likelihood of each block."""
+        return self.scales.losses(self.errors) + self.followed.volumes
+
+    @property
+    def loss(self) -> float:
+        """-log posterior, up to a constant."""
+        return float(self.losses.sum() + 0.5 * self.z @ self.z)
+
+    def weighed(self, columns: Float[np.ndarray, "blocks samples columns k"]) -> Float[np.ndarray, "blocks values k"]:
+        """Changes of the prediction in sds of the errors, as iteratively reweighted least squares has them."""
+        return (self._roots[..., None] * columns).reshape(len(columns), -1, columns.shape[-1])
+
+    @cached_property
+    def _roots(self) -> Float[np.ndarray, "blocks samples columns"]:
+        return np.sqrt(self.scales.weights(self.errors))
+
+    @cached_property
+    def told(self) -> Float[np.ndarray, "blocks values size"]:
+        """Weighed sensitivities to the unknowns."""
+        return self.weighed(self.columns)
+
+    @cached_property
+    def left(self) -> Float[np.ndarray, "blocks values"]:
+        """Weighed errors."""
+        return self.weighed(np.nan_to_num(self.errors)[..., None])[..., 0]
+
+    @cached_property
+    def gram(self) -> Float[np.ndarray, "size size"]:
+        """Curvature of the log posterior."""
+        return np.einsum("wnk,wnl->kl", self.told, self.told) + np.eye(len(self.z))
+
+    @cached_property
+    def slopes(self) -> Float[np.ndarray, "blocks size"]:
+        """Each block's pull on the unknowns."""
+        return np.einsum("wnk,wn->wk", self.told, self.left)
+
+    @cached_property
+    def covariance(self) -> Float[np.ndarray, "size size"]:
+        """Of the unknowns: the sandwich of curvature and scatter over blocks, the prior being one more observation."""
+        inverse = np.linalg.inv(self.gram)
+        return inverse @ (scatter(self.slopes, self.followed.recording) + np.eye(len(self.z))) @ inverse
+
+    def only(self, rows: np.ndarray) -> "ContactFit":
+        """The same on some recordings, under the scales of all."""
+        blocks = np.isin(np.repeat(np.arange(self.problem.segments.count), self.followed.blocks), rows)
+        some = ContactFit(self.followed.only(rows), self.z, self.errors[blocks], self.scales)
+        some.__dict__["columns"] = self.columns[blocks]
+        return some
+
+
+def steady(up: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Slopes as far as those to either side agree: where contact is chaotic they have nothing in common."""
+    size = np.abs(up) + np.abs(down)
+    apart = np.divide(np.abs(up - down), size, out=np.zeros_like(size), where=size > 0)
+    return 0.5 * (up + down) / (1 + (apart / AGREE) ** 4)
+
+
+def at(followed: Followed, z: Float[np.ndarray, " size"], scales: Scales | None = None) -> ContactFit:
+    """The hypothesis at given unknowns, under scales that may be given."""
+    z = np.asarray(z, float)
+    errors = followed.errors(z[None])[0]
+    return ContactFit(followed, z, errors, scales_of(errors) if scales is None else scales)
+
+
+def fit_followed(
+    followed: Followed,
+    z: Float[np.ndarray, " size"] | None = None,
+    *,
+    held: Sequence[int] = (),
+    iterations: int = ITERATIONS,
+    others: Sequence[np.ndarray] = (),
+) -> ContactFit:
+    """The most likely unknowns from `z`, or from the best of it and `others`; those `held` stay."""
+    z = np.zeros(followed.problem.size) if z is None else np.array(z, float)
+    fit = _best(followed, np.stack([z, *others]))
+    for _ in range(iterations):
+        step = _step(fit, held)
+        found = _best(followed, np.stack([_within(fit, fit.z + f * step) for f in FRACTIONS]))
+        gain = fit.loss - found.loss
+        if not gain > 0:
+            break
+        fit = found
+        if gain < SETTLED:
+            break
+    return fit
+
+
+def _best(followed: Followed, z: Float[np.ndarray, "variants size"]) -> ContactFit:
+    """The likeliest of these unknowns."""
+    fits = [ContactFit(followed, one, e, scales_of(e)) for one, e in zip(z, followed.errors(z), strict=True)]
+    return min(fits, key=lambda f: f.loss)
+
+
+def _columns(followed: Followed, z: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """By finite differences; values of different recordings are moved together."""
+    problem = followed.problem
+    columns = np.zeros((*errors.shape, problem.size))
+    left, best = problem.probes(), np.full(problem.size, -1.0)
+    for size in STEPS:
+        found = _differences(followed, z, errors, left, size)
+        for which, (change, agreed) in zip(left, found, strict=True):
+            if agreed > best[which[0]]:
+                best[which[0]] = agreed
+                _put(columns, which, change, followed.recording)
+        left = [which for which in left if best[which[0]] < SMOOTH]
+        if not left:
+            break
+    return columns
+
+
+def _put(columns: np.ndarray, which: np.ndarray, change: np.ndarray, recording: np.ndarray) -> None:
+    """Unknowns of single recordings show in their own alone."""
+    if len(which) == 1:
+        columns[..., which[0]] = change
+        return
+    for r, i in enumerate(which):
+        mine = recording == r
+        columns[mine, :, :, i] = change[mine]
+
+
+def _differences(
+    followed: Followed, z: np.ndarray, errors: np.ndarray, probes: Sequence[np.ndarray], size: float
+) -> list[tuple[np.ndarray, float]]:
+    """Changes of the prediction for one sd of the unknowns of each probe, and the share that both sides agree on."""
+    problem = followed.problem
+    moved, steps = np.tile(z, (2 * len(probes), 1)), []
+    for k, which in enumerate(probes):
+        steps.append(abs(problem.nudge(z, which, size)))
+        moved[2 * k, which] += steps[-1]
+        moved[2 * k + 1, which] -= steps[-1]
+    moved = np.maximum(moved, problem.floor)
+    found = followed.errors(moved) if len(probes) else []
+    out = []
+    for k, (which, step) in enumerate(zip(probes, steps, strict=True)):
+        up, down = (np.nan_to_num(x) for x in ((errors - found[2 * k]) / step, (found[2 * k + 1] - errors) / step))
+        if moved[2 * k + 1, which[0]] > z[which[0]] - 0.5 * step:  # at the wall there is one side only
+            out.append((up, 1.0))
+            continue
+        change = steady(up, down)
+        whole = float(((0.5 * (up + down)) ** 2).sum())
+        out.append((change, float((change**2).sum()) / whole if whole > 0 else 1.0))
+    return out
+
+
+def _step(fit: ContactFit, held: Sequence[int]) -> np.ndarray:
+    free = np.setdiff1d(np.arange(len(fit.z)), np.asarray(held, int))
+    step = np.zeros(len(fit.z))
+    if len(free):
+        pull = fit.slopes.sum(0) - fit.z
+        step[free] = np.linalg.solve(fit.gram[np.ix_(free, free)], pull[free])
+    return step * min(1.0, LARGEST_STEP / max(np.abs(step).max(initial=0.0), 1e-12))
+
+
+def _within(fit: ContactFit, z: np.ndarray) -> np.ndarray:
+    """Within the prior's digits, and where an effect's parameters may be."""
+    psi = np.arange(len(z)) < fit.problem.num_psi
+    return np.maximum(np.where(psi, np.clip(z, -FARTHEST, FARTHEST), z), fit.problem.floor)

@@ -1,0 +1,190 @@
+"""A hypothesis on recordings that its simulations follow: what it foretells of each sample from those before.
+
+Where bodies touch, a long prediction is chaotic, and no start is known well enough. So simulations are led along their
+recordings by an observer, and judged by its innovations: under the right model they are the measurement's noise.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from det2stoc_bayes.engines.base import EffectRows, Request, Start, Trajectory
+from det2stoc_bayes.engines.observer import Observer
+from det2stoc_bayes.mismatch.contact.observers import make_observer, recorded_start
+from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.problem import Finer, Problem, repeat_start
+from det2stoc_bayes.recording import Recording
+from det2stoc_bayes.segments import cut
+
+BLOCK = 10  # samples that are counted together: their errors are not independent
+MEMORY = 6.0  # samples over which an error is remembered
+FARTHEST = 1e6  # noise sds at which the error of a diverged prediction is counted
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A hypothesis on whole recordings, each of them followed with so long a memory (samples)."""
+
+    problem: Problem
+    memory: float = MEMORY
+    heard: Bool[np.ndarray, " columns"] | None = None  # columns that have a say; all where it is None
+
+    @cached_property
+    def observer(self) -> Observer:
+        """It depends on the samples and their noise alone: all hypotheses have the same."""
+        return make_observer(self.problem, self.memory)[0]
+
+    @cached_property
+    def _sd(self) -> Float[np.ndarray, "recordings samples columns"]:
+        return make_observer(self.problem, self.memory)[1] * self.problem.noise
+
+    @cached_property
+    def start(self) -> Start:
+        """What was recorded first."""
+        return recorded_start(self.problem)
+
+    @cached_property
+    def log_spread(self) -> Float[np.ndarray, "blocks samples columns"]:
+        """Log sds of innovations in sds of the noise; NaN where nothing was recorded or is heard."""
+        return self._cut(np.log(self._sd / self.problem.noise)[None])[0]
+
+    @cached_property
+    def volumes(self) -> Float[np.ndarray, " blocks"]:
+        """Its sum over each block: by that densities of different memories are comparable."""
+        return np.nansum(self.log_spread, axis=(1, 2))
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of each recording."""
+        return -(-(self.problem.segments.time.shape[1] - 1) // BLOCK)
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return self.problem.segments.count * self.blocks
+
+    @cached_property
+    def recording(self) -> Int[np.ndarray, " blocks"]:
+        """Which recording each block belongs to."""
+        return np.repeat(self.problem.segments.recording, self.blocks)
+
+    def errors(self, z: Float[np.ndarray, "variants size"]) -> Float[np.ndarray, "variants blocks samples columns"]:
+        """Innovations in sds of what noise makes of them; NaN where nothing was recorded."""
+        return self._of(self._request(z))
+
+    def errors_with(
+        self, z: Float[np.ndarray, " size"], placed: PlacedEffect, values: Sequence[Mapping[str, Any]]
+    ) -> Float[np.ndarray, "variants blocks samples columns"]:
+        """The same with an effect added, for each of these parameter values."""
+        count = self.problem.segments.count
+        whole = self._request(np.tile(z, (len(values), 1)))
+        wide = {n: np.repeat(np.array([np.asarray(v[n], float) for v in values]), count, axis=0) for n in values[0]}
+        added = EffectRows(placed, slice(0, len(whole.which)), wide)
+        return self._of(replace(whole, effects=(*whole.effects, added)))
+
+    def path(self, z: Float[np.ndarray, " size"]) -> Trajectory:
+        """Predictions of every sample, and the states after its correction."""
+        engine = self.problem.simulator.engine
+        return engine.trajectory(self._request(z[None]))
+
+    def drawn(
+        self, z: Float[np.ndarray, " size"], random: np.random.Generator
+    ) -> Float[np.ndarray, "recordings samples columns"]:
+        """Samples as the hypothesis itself makes them: innovations are drawn, and followed."""
+        noise = self._sd * random.standard_normal(self._sd.shape)
+        observer = replace(self.observer, values=noise, drawn=True)
+        predicted = self.problem.simulator.rollout(replace(self._request(z[None]), observer=observer))
+        return predicted + noise
+
+    def _request(self, z: np.ndarray) -> Request:
+        return replace(self.problem.request(z, repeat_start(self.start, len(z))), observer=self.observer)
+
+    def _of(self, request: Request) -> np.ndarray:
+        predicted = self.problem.simulator.rollout(request)
+        return self.in_blocks(self.problem.residuals(predicted).reshape(predicted.shape))
+
+    def in_blocks(
+        self, errors: Float[np.ndarray, "rows times columns"]
+    ) -> Float[np.ndarray, "variants blocks samples columns"]:
+        """Recorded minus predicted values, the first sample's apart, as `errors` has them."""
+        e = errors.reshape(-1, *self.problem.segments.values.shape) / self._sd
+        with np.errstate(invalid="ignore"):
+            e = np.where(np.abs(e) < FARTHEST, e, FARTHEST)
+        return self._cut(e)
+
+    def in_blocks_of_noise(
+        self, errors: Float[np.ndarray, "recordings times columns"]
+    ) -> Float[np.ndarray, "blocks samples columns"]:
+        """Errors in noise sds of whatever foretells the samples."""
+        return self._cut(errors[None])[0]
+
+    def _cut(self, rows: Float[np.ndarray, "variants recordings times columns"]) -> np.ndarray:
+        """Blocks of what was recorded and is heard, the first sample apart."""
+        there = self.problem.segments.observed & self._real[..., None]
+        there = there if self.heard is None else there & self.heard
+        room = self.blocks * BLOCK - rows.shape[2] + 1
+        padded = np.pad(
+            np.where(there, rows, np.nan)[:, :, 1:], ((0, 0), (0, 0), (0, room), (0, 0)), constant_values=np.nan
+        )
+        return padded.reshape(len(rows), self.count, BLOCK, rows.shape[3])
+
+    @cached_property
+    def _real(self) -> Bool[np.ndarray, "recordings samples"]:
+        return np.diff(self.problem.segments.time, axis=1, prepend=-np.inf) > 0  # and no padding
+
+    def with_problem(self, problem: Problem) -> "Followed":
+        """The same recordings under another hypothesis."""
+        other = replace(self, problem=problem)
+        if problem.segments is self.problem.segments:
+            other.__dict__.update(
+                (k, v)
+                for k, v in self.__dict__.items()
+                if k in ("observer", "_sd", "start", "volumes", "log_spread", "_real")
+            )
+        return other
+
+    def remembering(self, memory: float, z: Float[np.ndarray, " size"]) -> "Followed":
+        """The same with another memory; a finer integration's error is found anew at these unknowns."""
+        if memory == self.memory:
+            return self
+        finer, bare = self.problem.finer, replace(self.problem, finer=None)
+        other = replace(self, problem=bare, memory=memory)
+        return other if finer is None else other.shifted(z, finer.timestep, finer.integrator)
+
+    def hearing(self, heard: Bool[np.ndarray, " columns"]) -> "Followed":
+        """The same by some columns alone; all of them lead the simulations."""
+        return replace(self, heard=heard)
+
+    def only(self, rows: Int[np.ndarray, " rows"]) -> "Followed":
+        """Some of the recordings; unknowns of the others stay."""
+        problem = self.problem
+        whole, guess, finer = problem.segments, problem.guess, problem.finer
+        each = {n: getattr(whole, n)[rows] for n in ("recording", "first", "time", "values")}
+        guess = replace(guess, start=guess.start[rows], prior_sd=guess.prior_sd[rows])
+        finer = None if finer is None else replace(finer, shift=finer.shift[rows])
+        return replace(self, problem=replace(problem, segments=replace(whole, **each), guess=guess, finer=finer))
+
+    def on(self, recordings: Sequence[Recording]) -> "Followed":
+        """The same hypothesis on other recordings."""
+        return replace(self, problem=self.problem.on(cut(recordings, None, self.problem.segments.columns)))
+
+    def shifted(self, z: Float[np.ndarray, " size"], timestep: float, integrator: str) -> "Followed":
+        """The same with the believed integration's error taken off, as it is at these unknowns."""
+        bare = self.with_problem(replace(self.problem, timestep=None, integrator=None, finer=None))
+        fine = self.with_problem(replace(bare.problem, timestep=timestep, integrator=integrator))
+        shift = fine.path(z).columns - bare.path(z).columns
+        shift = np.where(np.isfinite(shift), shift, 0.0)
+        return self.with_problem(replace(bare.problem, finer=Finer(timestep, integrator, shift)))
+
+    def fine(self) -> "Followed":
+        """The same with the finer integration in full."""
+        finer = self.problem.finer
+        if finer is None:
+            return self
+        return self.with_problem(
+            replace(self.problem, timestep=finer.timestep, integrator=finer.integrator, finer=None)
+        )

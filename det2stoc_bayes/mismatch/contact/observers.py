@@ -1,0 +1,38 @@
+"""The observer of a study's recordings: how much of each sample's error its simulated states take over."""
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.engines.base import Start
+from det2stoc_bayes.engines.observer import Observer, Places, forgetting_gains
+from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.starts import guess_starts
+
+RATE = 0.5  # noise sds over a sampling interval: sd of a speed that is estimated from positions
+
+
+def recorded_start(problem: Problem) -> Start:
+    """What was recorded first, rates of positions where speeds were not."""
+    return guess_starts(problem.simulator.model, problem.segments).start
+
+
+def make_observer(problem: Problem, memory: float) -> tuple[Observer, Float[np.ndarray, "recordings samples columns"]]:
+    """The observer, and what noise makes of the innovations, in sds of a sample's noise."""
+    segments, model = problem.segments, problem.simulator.model
+    places = Places(model, segments.columns)
+    noise = places.noise(problem.noise)
+    seen = places.seen(segments.observed)
+    gains, spread = forgetting_gains(segments.time, seen, noise, _first_sd(problem, noise), memory)
+    return Observer(gains, segments.values, seen), places.of_columns(spread, len(segments.columns))
+
+
+def _first_sd(problem: Problem, noise: Float[np.ndarray, "nv 2"]) -> Float[np.ndarray, "nv 2"]:
+    """sd of recorded starts in tangent coordinates (positions, speeds)."""
+    nv, time = problem.simulator.model.nv, problem.segments.time
+    interval = np.diff(time, axis=1)
+    dt = float(np.median(interval[interval > 0]))
+    spread = np.stack([problem.guess.scale[:nv], problem.guess.scale[nv:]], 1)
+    sd = np.where(np.isfinite(noise), noise, spread)
+    from_positions = np.minimum(RATE * sd[:, 0] / dt, spread[:, 1])
+    sd[:, 1] = np.where(np.isfinite(noise[:, 1]), sd[:, 1], from_positions)
+    return sd

@@ -1,0 +1,60 @@
+"""Open-loop predictions of short stretches, from states that an observer estimates of the samples before."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.engines.base import Start
+from det2stoc_bayes.mismatch.contact.fit import ContactFit
+from det2stoc_bayes.segments import Segments, from_pieces
+
+LENGTH = 20  # samples that are predicted beyond a start
+
+
+@dataclass(frozen=True, eq=False)
+class Rollouts:
+    """Stretches one after the other, and what is foretold of them."""
+
+    segments: Segments
+    predicted: Float[np.ndarray, "stretches samples columns"]
+    errors: Float[np.ndarray, "stretches samples columns"]
+
+    @property
+    def horizon(self) -> float:
+        """Seconds that a stretch lasts."""
+        return float(np.median(self.segments.time[:, -1] - self.segments.time[:, 0]))
+
+    def rmse(self) -> Float[np.ndarray, " columns"]:
+        """Over all samples beyond the starts."""
+        error = self.errors[:, 1:]
+        seen = np.isfinite(error)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.sqrt((np.where(seen, error, 0.0) ** 2).sum((0, 1)) / seen.sum((0, 1)))
+
+    def paths(self) -> dict[str, Float[np.ndarray, "samples columns"]]:
+        """What is foretold of each sample of each recording, NaN where nothing is."""
+        segments = self.segments
+        out = {r.name: np.full((len(r.time), len(segments.columns)), np.nan) for r in segments.recordings}
+        for s, path in enumerate(self.predicted):
+            begin, length = int(segments.first[s]), int(segments.lengths[s])
+            out[segments.recordings[segments.recording[s]].name][begin : begin + length] = path[:length]
+        return out
+
+
+def rollouts(fit: ContactFit) -> Rollouts:
+    """Of all recordings of a fit, under the integration that converges."""
+    followed = fit.followed.fine()
+    problem = followed.problem
+    whole, path = problem.segments, followed.path(fit.z)
+    pieces, rows, begins = [], [], []
+    for s, length in enumerate(whole.lengths):
+        for b in range(0, max(int(length) - 1, 1), LENGTH):
+            pieces.append((int(whole.recording[s]), b, min(b + LENGTH + 1, int(length))))
+            rows.append(s)
+            begins.append(b)
+    start = Start(*(a[rows, begins] for a in (path.qpos, path.qvel, path.act)))
+    there = problem.on(from_pieces(whole.recordings, pieces, whole.columns))
+    predicted = there.simulator.rollout(there.request(fit.z[None], start))
+    errors = there.residuals(predicted).reshape(predicted.shape)
+    return Rollouts(there.segments, predicted, np.where(there.segments.observed, errors, np.nan))

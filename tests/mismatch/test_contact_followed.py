@@ -1,0 +1,229 @@
+"""Recordings of a sliding puck that are followed: innovations, unknowns found again, and what is told of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import make_study
+from sliding import PSI, TRUTH, XML, slides
+
+from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact.compose import ContactComposer
+from det2stoc_bayes.mismatch.contact.fit import at, fit_followed, steady
+from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
+from det2stoc_bayes.mismatch.contact.judge import judged
+from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, believed, climbed, nearer
+from det2stoc_bayes.mismatch.contact.replicas import replicated
+from det2stoc_bayes.mismatch.contact.rollouts import LENGTH, rollouts
+from det2stoc_bayes.mismatch.contact.run import touches
+from det2stoc_bayes.mismatch.contact.scales import DEGREES, Scales, certainty, scales_of, scatter
+from det2stoc_bayes.mismatch.contact.search import Round
+from det2stoc_bayes.mismatch.contact.telling import telling
+from det2stoc_bayes.problem import make_problem
+from det2stoc_bayes.simulator import Simulator
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    study = make_study(tmp_path_factory.mktemp("slides") / "study", XML.format(0.02), PSI, slides())
+    return make_problem(Simulator(study, num_threads=1))
+
+
+@pytest.fixture(scope="module")
+def sliding(problem):
+    """The columns of sliding; how the puck rattles is another matter."""
+    return np.isin(problem.segments.columns, [f"{c}/glide/{p}" for c, p in SLIDING])
+
+
+@pytest.fixture(scope="module")
+def fit(problem, sliding):
+    return climbed(fit_followed(Followed(problem).hearing(sliding)))
+
+
+SLIDING = ("qpos", "x"), ("qpos", "y"), ("qvel", "vx"), ("qvel", "vy")
+
+
+def z_of(problem, friction):
+    return np.array([float(problem.simulator.parameters[0].prior.to_normal(friction))])
+
+
+def test_scales_are_those_that_errors_were_drawn_with():
+    random = np.random.default_rng(0)
+    true = np.array([2.0, 7.0])
+    errors = true * random.standard_t(DEGREES, (400, 10, 2))
+    # the sd of a scale is about 1.2 % for 4000 samples
+    np.testing.assert_allclose(scales_of(errors).values, true, rtol=0.06)
+
+
+def test_a_few_wild_samples_do_not_widen_a_scale():
+    errors = 3.0 * np.random.default_rng(0).standard_normal((40, 10, 1))
+    plain = scales_of(errors).values[0]
+    errors[:2] = FARTHEST
+    assert scales_of(errors).values[0] < 1.3 * plain
+
+
+def test_scatter_counts_what_neighbours_share():
+    random = np.random.default_rng(2)
+    noise = random.standard_normal((3001, 1))
+    shared = noise[1:] + noise[:-1]  # the sum's variance is 4 a block, the blocks' own 2
+    recording = np.zeros(3000, int)
+    assert float(scatter(shared, recording)[0, 0]) / 3000 == pytest.approx(2 + 2 * 0.75, rel=0.1)
+    assert abs(certainty(random.standard_normal(3000), recording)) < 4
+
+
+def test_slopes_that_disagree_are_chaos():
+    up, down = np.array([1.0, 1.0, 50.0]), np.array([1.0, 0.98, -40.0])
+    np.testing.assert_allclose(steady(up, down), [1.0, 0.99, 0.0], atol=0.05)
+
+
+def test_scales_where_nothing_was_recorded_are_infinite_and_weigh_nothing():
+    errors = np.random.default_rng(0).standard_normal((50, 10, 2))
+    errors[..., 1] = np.nan
+    scales = scales_of(errors)
+    assert np.isinf(scales.values[1]) and np.isfinite(scales.values[0])
+    assert np.isfinite(scales.losses(errors)).all() and (scales.weights(errors)[..., 1] == 0).all()
+
+
+def test_only_what_touches_is_a_study_with_contact(problem, tmp_path):
+    assert touches(problem)
+    high = make_study(tmp_path / "study", XML.format(9.0), PSI, slides(9.0, 1))
+    assert not touches(make_problem(Simulator(high, num_threads=1)))
+
+
+def test_under_the_truth_innovations_are_noise_and_under_another_friction_they_are_not(problem, sliding):
+    followed = Followed(problem, 50.0)
+    right, wrong = (at(followed, z_of(problem, f)).errors[..., sliding] for f in (TRUTH, 0.8 * TRUTH))
+    # measured: 1.25, and 6.4 under the wrong one; of noise alone the sd is 0.07
+    assert np.nanmean(right**2) == pytest.approx(1, abs=0.5) and np.nanmean(wrong**2) > 3
+
+
+def test_friction_is_found_from_noisy_recordings(problem, fit):
+    friction, slope = (float(problem.psi(fit.z + d)[0]) for d in (0.0, 1e-3))
+    sd = np.sqrt(fit.covariance[0, 0]) * (slope - friction) / 1e-3
+    assert sd < 0.01
+    assert abs(friction - TRUTH) < 4 * sd + 0.003, (friction, sd)
+
+
+def test_blocks_hold_every_sample_but_the_first_of_each_recording(problem):
+    followed = Followed(problem)
+    samples = problem.segments.time.shape[1]
+    assert followed.blocks == -(-(samples - 1) // BLOCK) and followed.count == 4 * followed.blocks
+    errors = followed.errors(np.zeros((1, 1)))[0]
+    assert np.isfinite(errors).sum() == 4 * (samples - 1) * 13
+    np.testing.assert_array_equal(followed.recording, np.repeat(np.arange(4), followed.blocks))
+    some = at(followed, np.zeros(1)).only(np.array([1, 3]))
+    rows = np.isin(followed.recording, [1, 3])
+    np.testing.assert_allclose(some.followed.errors(np.zeros((1, 1)))[0], errors[rows], atol=1e-9)
+    np.testing.assert_array_equal(some.errors, errors[rows])
+
+
+def test_densities_of_different_memories_are_comparable(problem, sliding):
+    """Each is that of the samples: what a longer memory takes off the foretold sds it must add in misfit, if wrong."""
+    wrong, right = z_of(problem, 0.6 * TRUTH), z_of(problem, TRUTH)
+    every = {m: Followed(problem, m).hearing(sliding) for m in MEMORIES}
+    told = {m: [at(f, z).losses.sum() for z in (right, wrong)] for m, f in every.items()}
+    assert min(MEMORIES, key=lambda m: told[m][0]) >= 12 > min(MEMORIES, key=lambda m: told[m][1])
+    assert (np.diff([f.volumes.sum() for f in every.values()]) < 0).all()
+
+
+def test_a_model_that_is_right_remembers_long(fit):
+    assert fit.followed.memory >= 12
+
+
+def test_what_is_not_heard_is_not_counted(problem):
+    heard = np.ones(13, bool)
+    heard[2] = False
+    followed = Followed(problem)
+    deaf, all_ = at(followed.hearing(heard), np.zeros(1)), at(followed, np.zeros(1))
+    assert np.isnan(deaf.errors[..., 2]).all() and np.isfinite(deaf.losses).all()
+    np.testing.assert_array_equal(deaf.errors[..., :2], all_.errors[..., :2])
+    assert np.isinf(deaf.scales.values[2])
+    here = followed.hearing(heard).on(problem.segments.recordings[:1])
+    np.testing.assert_array_equal(here.heard, heard)
+
+
+def test_what_is_foretold_worse_than_without_a_model_is_not_telling(problem):
+    fit = at(Followed(problem, 12.0), z_of(problem, TRUTH))
+    columns = fit.problem.segments.columns
+    heard = telling(fit)
+    assert heard[columns.index("qpos/glide/x")] and heard[columns.index("qvel/glide/vx")]
+    # a model that is wrong by a thousand sds everywhere tells nothing, and then nothing is left out
+    assert telling(replace(fit, errors=fit.errors + 1e3)).all()
+    spoilt = fit.errors.copy()
+    spoilt[..., columns.index("qvel/glide/wx")] += 1e3
+    assert not telling(replace(fit, errors=spoilt))[columns.index("qvel/glide/wx")]
+
+
+def test_the_ground_of_a_search_is_where_psi_is_likely(fit, problem):
+    far = at(fit.followed, np.array([4.0]))
+    assert nearer(far).z.tolist() == [1.5] and nearer(fit) is fit
+
+
+def test_replicas_are_what_the_hypothesis_makes(fit):
+    made = replicated(fit, np.random.default_rng(0))
+    errors = at(made, fit.z).errors
+    assert np.nanmean(errors**2) == pytest.approx(1, abs=0.3)
+    again = fit_followed(made, fit.z, iterations=3)
+    assert abs(again.z - fit.z)[0] < 5 * np.sqrt(fit.covariance[0, 0] + again.covariance[0, 0])
+
+
+def test_rollouts_start_from_what_was_seen_before(fit):
+    """Of the right model they err by little more than noise over 20 samples, of another friction by several times."""
+    runs, wrong = rollouts(fit), rollouts(at(fit.followed, z_of(fit.problem, 0.6 * TRUTH)))
+    assert runs.segments.time.shape[1] <= LENGTH + 1
+    x = fit.problem.segments.columns.index("qpos/glide/x")
+    assert runs.rmse()[x] < 4 * fit.problem.noise[x] < wrong.rmse()[x]  # measured: 2.2, and 24
+    paths = runs.paths()
+    for record in fit.problem.segments.recordings:
+        assert np.isfinite(paths[record.name]).all()
+        assert np.abs(paths[record.name][:, x] - record.values[:, x]).max() < 8 * fit.problem.noise[x]
+
+
+def test_pairs_know_their_recordings_and_a_posterior_what_it_took(problem):
+    followed, recordings = Followed(problem), problem.simulator.study.recordings
+    fit = at(followed.on(recordings[:3]), np.zeros(1))
+    pair = Pair(fit, at(followed.on(recordings[2:]), np.zeros(1), fit.scales))
+    np.testing.assert_array_equal(
+        pair.owners, np.repeat(np.arange(5), followed.blocks)
+    )  # the third, held out, is another
+    counter = problem.simulator.counter
+    begun = counter.simulations
+    said = judged(pair, [], False, 0, pair)
+    assert said.evaluations == (counter.simulations - begun) // 3 > 0
+    belief = ContactComposer(said, [], 0)._belief(pair)
+    assert belief["evaluations"] == said.evaluations
+
+
+def test_the_believed_model_is_fitted_with_its_memory_and_what_it_tells(problem):
+    recordings = problem.simulator.study.recordings
+    whole = Followed(problem)
+    pair, fine = believed(whole.on(recordings[:3]), whole.on(recordings[3:]))
+    assert pair.fit.followed.memory == pair.held.followed.memory >= 6
+    np.testing.assert_array_equal(pair.fit.followed.heard, pair.held.followed.heard)
+    assert isinstance(fine, bool) and pair.fit.scales is pair.held.scales
+
+
+@pytest.mark.parametrize(("loc", "verdict"), [(0.22, "mismatch"), (0.37, "inconclusive")])
+def test_an_effect_beside_which_psi_strains_at_its_prior_is_no_sure_name(tmp_path, loc, verdict):
+    """What tells the recordings is friction, far out in its prior in one of two; the effect is a passenger."""
+    psi = PSI.replace("loc = 0.3, scale = 0.1", f"loc = {loc}, scale = 0.03")
+    study = make_study(tmp_path / "study", XML.format(0.02), psi, slides())
+    problem = make_problem(Simulator(study, num_threads=1))
+    heard = np.isin(problem.segments.columns, [f"{c}/glide/{p}" for c, p in SLIDING])
+    followed, recordings = Followed(problem).hearing(heard), problem.simulator.study.recordings
+    drag = next(c for c in candidates(problem) if c.effect.name == "linear_drag")
+    low, z = z_of(problem, 0.1), z_of(problem, TRUTH)
+    with_drag = followed.with_problem(problem.with_effects((drag,)))
+    pairs = []
+    for one, there in ((followed, low), (with_drag, np.array([z[0], 0.01]))):
+        fit, held = (one.on(part) for part in (recordings[:3], recordings[3:]))
+        pairs.append(Pair(at(fit, there), at(held, there, at(fit, there).scales)))
+    base, more = pairs
+    assert (abs(z[0]) > 3) == (verdict == "inconclusive")
+    said = judged(base, [Round(base, (), (more,), more)], False, 0, more)
+    assert said.verdict == verdict and said.places[0][0].chance == 1.0
+
+
+def test_scales_of_one_column_are_its_own():
+    scales = Scales(np.array([1.0, 3.0]))
+    assert scales.only(1).values.tolist() == [3.0]
