@@ -85,8 +85,8 @@ def diagnose(
     if touches(problem):
         if sampler is not None:
             raise MethodNotApplicable(
-                f"{study.model_path}: bodies touch, and what short windows infer has no posterior that NUTS could draw "
-                "from; allowed: a diagnosis without --exact"
+                f"{study.model_path}: bodies touch, and simulations that follow their recordings have no density that "
+                "NUTS could draw from; allowed: a diagnosis without --exact"
             )
         composer, patch = diagnosed(problem, seed, progress)
         return Diagnosis(composer.compose(time.perf_counter() - began), composer.arrays(), patch, study)

@@ -9,7 +9,7 @@ from sliding import PSI, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
-from det2stoc_bayes.mismatch.contact.fit import at, fit_followed, steady
+from det2stoc_bayes.mismatch.contact.fit import STEPS, _columns, at, fit_followed, steady
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
 from det2stoc_bayes.mismatch.contact.judge import judged
 from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, believed, climbed, nearer
@@ -227,3 +227,36 @@ def test_an_effect_beside_which_psi_strains_at_its_prior_is_no_sure_name(tmp_pat
 def test_scales_of_one_column_are_its_own():
     scales = Scales(np.array([1.0, 3.0]))
     assert scales.only(1).values.tolist() == [3.0]
+
+
+class Waves(Followed):
+    """Predictions that turn about within a fraction of a prior sd of the first unknown, and are straight in the other."""
+
+    size, floor, recording = 2, np.full(2, -np.inf), np.zeros(1, int)
+
+    def __init__(self):
+        object.__setattr__(self, "problem", self)
+        object.__setattr__(self, "steps", [])
+
+    def probes(self):
+        return [np.array([0]), np.array([1])]
+
+    def nudge(self, z, which, size):
+        self.steps.append((int(which[0]), size))
+        return size
+
+    def errors(self, z):
+        phase = np.arange(10.0)
+        return -(np.sin(20 * z[:, :1] + phase) + 3 * z[:, 1:])[:, None, :, None]
+
+
+def test_sensitivities_are_taken_over_steps_on_which_both_sides_agree():
+    waves, z = Waves(), np.zeros(2)
+    columns, sizes = _columns(waves, z, waves.errors(z[None])[0], None)
+    assert sizes[1] == STEPS[0] and sizes[0] < STEPS[0]
+    np.testing.assert_allclose(columns[0, :, 0, 0], 20 * np.cos(np.arange(10.0)), atol=3.0)
+    np.testing.assert_allclose(columns[0, :, 0, 1], 3.0)
+    waves.steps.clear()
+    again, same = _columns(waves, z, waves.errors(z[None])[0], sizes)
+    assert waves.steps == [(0, sizes[0]), (1, sizes[1])] and same is sizes
+    np.testing.assert_array_equal(again, columns)

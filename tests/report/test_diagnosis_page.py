@@ -172,13 +172,14 @@ def test_missing_parts_leave_their_sections_out(finding) -> None:
 
 
 @pytest.mark.parametrize("verdict", ["mismatch"], indirect=True)
-def test_windows_of_contact_are_not_called_rollouts_from_samples_before(finding, fit) -> None:
-    """In contact a window starts from what its own samples say, and the page must not claim more."""
-    there = {**finding, "contact": {"windows": 90, "finer_integration": False}}
+def test_rollouts_in_contact_are_said_to_start_anew_after_each(finding, fit) -> None:
+    """Fitted recordings, too, start from the samples before there, and the page must not claim more."""
+    there = {**finding, "contact": {"memory": {"before": 3, "after": 50}, "finer_integration": False}}
     smooth, told = (diagnosis_page(f, fit, study_name="arm") for f in (finding, there))
-    assert "from states that were estimated from the samples before" in smooth
-    assert "from states that were estimated from the samples before" not in told
+    assert "of fitted ones from their fitted states" in smooth
+    assert "of fitted ones from their fitted states" not in told
     assert "contact makes longer predictions worthless" in told
+    assert "each from the state that was estimated from the samples before" in told
 
 
 def test_null_numbers_are_printed_as_missing(finding, fit) -> None:

@@ -74,7 +74,7 @@ class ContactComposer:
                 "seed": self.seed,
                 "belief": {"before": self._belief(said.before), "after": self._belief(said.shown)},
                 "predictive_check": {"p_value": None, "worst_channel": worst, "inflation": ratio},
-                "contact": {"windows": said.before.fit.followed.count, "finer_integration": said.fine},
+                "contact": {"memory": _memories(said), "finer_integration": said.fine},
                 "negligible": [
                     {"name": p.placed.effect.name, "element": element(p.placed).model_dump(), "explains": s}
                     for p, s in said.negligible
@@ -241,3 +241,8 @@ class ContactComposer:
 def _alternative(c: Class) -> finding.Alternative:
     placed = c.members[0].placed
     return finding.Alternative(name=placed.effect.name, element=element(placed), probability=min(c.chance, 1.0))
+
+
+def _memories(said: Verdict) -> dict[str, float]:
+    """Samples by which each hypothesis is led."""
+    return {"before": said.before.fit.followed.memory, "after": said.shown.fit.followed.memory}

@@ -5,7 +5,7 @@ errors are Student-t, and a step is kept only if the likelihood itself, which ne
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +33,7 @@ class ContactFit:
     z: Float[np.ndarray, " size"]
     errors: Float[np.ndarray, "blocks samples columns"]
     scales: Scales
+    sizes: Float[np.ndarray, " size"] | None = None  # of finite differences, found at a fit nearby
 
     @property
     def problem(self) -> Problem:
@@ -40,9 +41,14 @@ class ContactFit:
         return self.followed.problem
 
     @cached_property
+    def differences(self) -> tuple[Float[np.ndarray, "blocks samples columns size"], Float[np.ndarray, " size"]]:
+        """Sensitivities of the prediction to the unknowns, in noise sds, and over which steps they were found."""
+        return _columns(self.followed, self.z, self.errors, self.sizes)
+
+    @property
     def columns(self) -> Float[np.ndarray, "blocks samples columns size"]:
         """Sensitivities of the prediction to the unknowns, in noise sds."""
-        return _columns(self.followed, self.z, self.errors)
+        return self.differences[0]
 
     @cached_property
     def losses(self) -> Float[np.ndarray, " blocks"]:
@@ -92,7 +98,7 @@ class ContactFit:
         """The same on some recordings, under the scales of all."""
         blocks = np.isin(np.repeat(np.arange(self.problem.segments.count), self.followed.blocks), rows)
         some = ContactFit(self.followed.only(rows), self.z, self.errors[blocks], self.scales)
-        some.__dict__["columns"] = self.columns[blocks]
+        some.__dict__["differences"] = self.columns[blocks], self.differences[1]
         return some
 
 
@@ -127,7 +133,7 @@ def fit_followed(
         gain = fit.loss - found.loss
         if not gain > 0:
             break
-        fit = found
+        fit = replace(found, sizes=fit.differences[1])
         if gain < SETTLED:
             break
     return fit
@@ -139,21 +145,28 @@ def _best(followed: Followed, z: Float[np.ndarray, "variants size"]) -> ContactF
     return min(fits, key=lambda f: f.loss)
 
 
-def _columns(followed: Followed, z: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """By finite differences; values of different recordings are moved together."""
+def _columns(
+    followed: Followed, z: np.ndarray, errors: np.ndarray, sizes: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """By finite differences over given steps, or over those to whose sides they agree best."""
     problem = followed.problem
-    columns = np.zeros((*errors.shape, problem.size))
-    left, best = problem.probes(), np.full(problem.size, -1.0)
+    columns, probes = np.zeros((*errors.shape, problem.size)), problem.probes()
+    if sizes is not None:
+        found = _differences(followed, z, errors, probes, [float(sizes[which[0]]) for which in probes])
+        for which, (change, _) in zip(probes, found, strict=True):
+            _put(columns, which, change, followed.recording)
+        return columns, sizes
+    best, sizes = np.full(problem.size, -1.0), np.full(problem.size, STEPS[0])
     for size in STEPS:
-        found = _differences(followed, z, errors, left, size)
-        for which, (change, agreed) in zip(left, found, strict=True):
+        found = _differences(followed, z, errors, probes, [size] * len(probes))
+        for which, (change, agreed) in zip(probes, found, strict=True):
             if agreed > best[which[0]]:
-                best[which[0]] = agreed
+                best[which[0]], sizes[which] = agreed, size
                 _put(columns, which, change, followed.recording)
-        left = [which for which in left if best[which[0]] < SMOOTH]
-        if not left:
+        probes = [which for which in probes if best[which[0]] < SMOOTH]
+        if not probes:
             break
-    return columns
+    return columns, sizes
 
 
 def _put(columns: np.ndarray, which: np.ndarray, change: np.ndarray, recording: np.ndarray) -> None:
@@ -167,12 +180,12 @@ def _put(columns: np.ndarray, which: np.ndarray, change: np.ndarray, recording: 
 
 
 def _differences(
-    followed: Followed, z: np.ndarray, errors: np.ndarray, probes: Sequence[np.ndarray], size: float
+    followed: Followed, z: np.ndarray, errors: np.ndarray, probes: Sequence[np.ndarray], sizes: Sequence[float]
 ) -> list[tuple[np.ndarray, float]]:
     """Changes of the prediction for one sd of the unknowns of each probe, and the share that both sides agree on."""
     problem = followed.problem
     moved, steps = np.tile(z, (2 * len(probes), 1)), []
-    for k, which in enumerate(probes):
+    for k, (which, size) in enumerate(zip(probes, sizes, strict=True)):
         steps.append(abs(problem.nudge(z, which, size)))
         moved[2 * k, which] += steps[-1]
         moved[2 * k + 1, which] -= steps[-1]

@@ -111,9 +111,9 @@ def sketched(base: ContactFit, promise: Promise) -> ContactFit:
     return fit_followed(base.followed.with_problem(more), first, others=others, iterations=SKETCH)
 
 
-def finished(fit: ContactFit) -> ContactFit:
-    """A sketch fitted to the end."""
-    return fit_followed(fit.followed, fit.z)
+def finished(sketch: ContactFit, base: ContactFit) -> ContactFit:
+    """What was sketched on some of a base's recordings, fitted to all of them."""
+    return fit_followed(base.followed.with_problem(base.problem.with_effects(sketch.problem.effects)), sketch.z)
 
 
 def remembered(pair: Pair) -> Pair:

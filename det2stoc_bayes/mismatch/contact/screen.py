@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, steady
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
@@ -32,10 +32,8 @@ def screen(
     fit: ContactFit, pool: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda _: None
 ) -> list[Promise]:
     """Every candidate's best trials, most gain first, by what they do to the recordings that are told worst."""
-    told = fit.losses.reshape(fit.problem.segments.count, -1).sum(1)
-    order = np.argsort(-told, kind="stable")
-    one, few = fit.only(order[:1]), fit.only(np.sort(order[: -(-len(order) // SOME)]))
-    share = len(order) / few.problem.segments.count
+    one, few = fit.only(told_worst(fit)[:1]), some(fit)
+    share = fit.problem.segments.count / few.problem.segments.count
     out = []
     for placed in pool:
         found = _judged(few, placed, _sifted(one, few, placed))
@@ -44,6 +42,18 @@ def screen(
             found = [replace(p, gain=share * p.gain) for p in found]
             out.append(replace(found[0], others=tuple(found[1:])))
     return sorted(out, key=lambda p: -p.gain)
+
+
+def told_worst(fit: ContactFit) -> Int[np.ndarray, " recordings"]:
+    """Recordings in the order of how badly they are told."""
+    told = fit.losses.reshape(fit.problem.segments.count, -1).sum(1)
+    return np.argsort(-told, kind="stable")
+
+
+def some(fit: ContactFit) -> ContactFit:
+    """The fit on those recordings that are looked at first."""
+    order = told_worst(fit)
+    return fit.only(np.sort(order[: -(-len(order) // SOME)]))
 
 
 def _sifted(one: ContactFit, few: ContactFit, placed: PlacedEffect) -> list[tuple[Trial, float]]:

@@ -11,7 +11,7 @@ from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
 from det2stoc_bayes.mismatch.contact.pair import Pair, finished, nearer, paired, remembered, sketched, without_last
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
-from det2stoc_bayes.mismatch.contact.screen import Promise, screen
+from det2stoc_bayes.mismatch.contact.screen import Promise, screen, some
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.shortlist import shortlist
@@ -76,18 +76,22 @@ def _screened(fit: ContactFit, pool: Sequence[PlacedEffect], progress: Progress)
 
 
 def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progress: Progress) -> list[Pair]:
-    """Those that promise most, fitted; the first of all from every trial of it that promises something."""
+    """Those that promise most, sketched, and of these the best, fitted; the first from each of its sketches."""
     worth = shortlist(screened, NUM_SKETCHED)
     worth += [o for s in worth[:3] for o in s.others if o.gain > ALSO * s.gain]
     sketches: list[ContactFit] = []
+    few = some(ground)
     for k, promise in enumerate(worth):
         progress("refining the best", k, len(worth) + NUM_REFINED)
-        sketches.append(sketched(ground, promise))
+        sketches.append(sketched(few, promise))
     sketches.sort(key=lambda f: f.loss)
+    best = {s.problem.effects[-1]: s for s in reversed(sketches)}
+    chosen = sorted(best.values(), key=lambda f: f.loss)[:NUM_REFINED]
+    chosen += [s for s in sketches if s.problem.effects == chosen[0].problem.effects and s is not chosen[0]]
     pairs: list[Pair] = []
-    for k, sketch in enumerate(sketches[:NUM_REFINED]):
-        progress("refining the best", len(worth) + k, len(worth) + NUM_REFINED)
-        pairs.append(paired(finished(sketch), base.held.followed))
+    for k, sketch in enumerate(chosen):
+        progress("refining the best", len(worth) + k, len(worth) + len(chosen))
+        pairs.append(paired(finished(sketch, ground), base.held.followed))
     progress("refining the best", 1, 1)
     return best_of_each(pairs)
 
