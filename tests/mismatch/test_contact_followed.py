@@ -230,7 +230,7 @@ def test_scales_of_one_column_are_its_own():
 
 
 class Waves(Followed):
-    """Predictions that turn about within a fraction of a prior sd of the first unknown, and are straight in the other."""
+    """Predictions that turn about within a fraction of a sd of the first unknown, and are straight in the last."""
 
     size, floor, recording = 2, np.full(2, -np.inf), np.zeros(1, int)
 

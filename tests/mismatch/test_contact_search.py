@@ -70,6 +70,17 @@ def test_without_the_last_effect_psi_is_the_same(followed, problem, pool):
     assert not np.allclose(bare.errors, with_drag.fit.errors, equal_nan=True)
 
 
+def test_a_base_that_is_told_better_where_an_addition_led_psi_goes_there(followed, problem, pool):
+    """The addition does nothing; what it gains is psi's own."""
+    drag = named(pool, "linear_drag")
+    stuck = pair_of(followed, [z_of(problem, 0.5 * TRUTH)])
+    more = pair_of(followed, [z_of(problem, TRUTH), 0.0], drag)
+    base = search.better_base(stuck, [more])
+    assert base.height < stuck.height - 50 and base.fit.problem.effects == ()
+    assert search.better_base(base, [more]).height <= base.height
+    assert search.better_base(stuck, []) is stuck
+
+
 def test_a_missing_drag_is_screened_and_fitted(problem, followed, pool):
     """Recordings are those of a puck with drag, by plain MuJoCo; size and friction are found beside each other."""
     study = problem.simulator.study

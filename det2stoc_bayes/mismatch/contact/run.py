@@ -38,10 +38,11 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     base, rounds = before, []
     while len(rounds) < MAX_EFFECTS:
         one = look(base, pool, progress, seed) if pool else Round(base, (), (), None)
+        before = one.base if not rounds else before
         rounds.append(one)
+        base = one.taken or one.base
         if one.taken is None:
             break
-        base = one.taken
     progress("scoring held-out recordings", 0, 1)
     said = judged(before, rounds, fine, seed, base)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []

@@ -59,10 +59,20 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
         again = refined(base, there, [s for s in again if s.gain > least], progress)
         found = best_of_each([*found, *again])
     found = near_remembered(base, found, progress)
+    base = better_base(base, found)
     rivals = [p.placed for p in found]
     chance = cache(lambda: gain_by_chance(base, rivals, seed, progress))  # which takes long, and is seldom asked for
     taken = found[0] if found and earns(base, found[0], threshold(len(others)), chance) else None
     return Round(base, tuple(screened), tuple(found), taken)
+
+
+def better_base(base: Pair, found: Sequence[Pair]) -> Pair:
+    """The base from where its best addition led psi, if it is told better there: that is no merit of the addition."""
+    if not found:
+        return base
+    there = without_last(found[0], found[0].fit.followed.memory)
+    other = remembered(paired(fit_followed(there.followed, there.z), base.held.followed))
+    return min((base, other), key=lambda p: p.height)
 
 
 def _screened(fit: ContactFit, pool: Sequence[PlacedEffect], progress: Progress) -> list[Promise]:
