@@ -1,6 +1,7 @@
 """Recordings of a sliding puck that are followed: innovations, unknowns found again, and what is told of them."""
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.fit import STEPS, _columns, at, fit_followed, steady
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
 from det2stoc_bayes.mismatch.contact.judge import judged
-from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, believed, climbed, nearer
+from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, believed, climbed, nearer, with_memory
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.rollouts import LENGTH, rollouts
 from det2stoc_bayes.mismatch.contact.run import touches
@@ -224,6 +225,26 @@ def test_an_effect_beside_which_psi_strains_at_its_prior_is_no_sure_name(tmp_pat
     assert said.verdict == verdict and said.places[0][0].chance == 1.0
 
 
+def test_what_an_effect_explains_is_told_with_one_memory(problem, sliding):
+    """The wrong friction is led back to the recordings every few samples: with so short a memory little is missing."""
+    followed, recordings = Followed(problem).hearing(sliding), problem.simulator.study.recordings
+    drag = next(c for c in candidates(problem) if c.effect.name == "linear_drag")
+    wrong, right = z_of(problem, 0.6 * TRUTH), z_of(problem, TRUTH)
+    pairs = []
+    for one, z, memory in (
+        (followed, wrong, 3.0),
+        (followed.with_problem(problem.with_effects((drag,))), np.append(right, 0.01), 50.0),
+    ):
+        fit, held = (replace(one, memory=memory).on(part) for part in (recordings[:3], recordings[3:]))
+        pairs.append(Pair(at(fit, z), at(held, z, at(fit, z).scales)))
+    base, more = pairs
+    led = with_memory(base, 50.0)
+    assert led.fit.followed.memory == led.held.followed.memory == 50.0 and with_memory(led, 50.0) is led
+    # friction is free in the refit, so that the passenger explains nothing; told at two memories it would
+    said = judged(base, [Round(base, (), (more,), more)], False, 0, more)
+    assert said.verdict == "no_mismatch" and said.negligible[0][1] < 0.05
+
+
 def test_scales_of_one_column_are_its_own():
     scales = Scales(np.array([1.0, 3.0]))
     assert scales.only(1).values.tolist() == [3.0]
@@ -232,7 +253,9 @@ def test_scales_of_one_column_are_its_own():
 class Waves(Followed):
     """Predictions that turn about within a fraction of a sd of the first unknown, and are straight in the last."""
 
-    size, floor, recording = 2, np.full(2, -np.inf), np.zeros(1, int)
+    size, floor = 2, np.full(2, -np.inf)
+    steps: list[tuple[int, float]]
+    recording = cached_property(lambda _: np.zeros(1, int))
 
     def __init__(self):
         object.__setattr__(self, "problem", self)

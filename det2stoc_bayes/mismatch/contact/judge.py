@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.conflict import strained
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
-from det2stoc_bayes.mismatch.contact.pair import Pair
+from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import Scales, certainty
 from det2stoc_bayes.mismatch.contact.search import Round, alike, chances
@@ -76,12 +76,11 @@ def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair
     reference = Scales(np.maximum(pooled, 1e-300))
     level = float(np.mean([squares(r.errors, reference).mean() for r in replicas]))
     taken = [r for r in rounds if r.taken is not None]
-    start = _level(before, reference)
+    # A short memory forgives what is missing: all are led as the last one is.
+    chain = [before, *(r.taken for r in taken[:-1] if r.taken is not None), *([final] if taken else [])]
+    start, *rest = (_level(with_memory(p, final.fit.followed.memory), reference) for p in chain)
     excess = start - level
-    whole = [_level(p, reference) for p in [r.taken for r in taken if r.taken is not None]]
-    if taken:
-        whole[-1] = _level(final, reference)
-    steps = np.diff([start, *whole])
+    steps = np.diff([start, *rest])
     explains = tuple(float(np.clip(-s / max(excess, 1e-9), -1.0, 1.0)) for s in steps)
     left = float(np.clip((_level(final, reference) - level) / max(excess, 1e-9), 0.0, 1.0)) if excess > 0 else 0.0
     random = np.random.default_rng(seed)

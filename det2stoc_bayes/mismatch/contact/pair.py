@@ -122,6 +122,14 @@ def remembered(pair: Pair) -> Pair:
     return pair if best is pair.fit else paired(best, pair.held.followed)
 
 
+def with_memory(pair: Pair, memory: float) -> Pair:
+    """The same hypothesis refitted with a given memory."""
+    fit = pair.fit
+    if memory == fit.followed.memory:
+        return pair
+    return paired(fit_followed(fit.followed.remembering(memory, fit.z), fit.z, iterations=SKETCH), pair.held.followed)
+
+
 def without_last(pair: Pair, memory: float) -> ContactFit:
     """The same psi without the effect that was added last, with another memory."""
     problem = pair.fit.problem.with_effects(pair.fit.problem.effects[:-1])
