@@ -14,13 +14,19 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from det2stoc_bayes.density import Density, log_prior
+from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.errors import SamplingFailed
-from det2stoc_bayes.inference._sampling import as_key, mode_of, normal_draws, numpy_random, per_chain, seed_of
-from det2stoc_bayes.map import find_map
-from det2stoc_bayes.populations import freed
+from det2stoc_bayes.inference._sampling import (
+    as_key,
+    mode_of,
+    normal_draws,
+    numpy_random,
+    per_chain,
+    posterior_of,
+    seed_of,
+)
 from det2stoc_bayes.posterior import DataTree, Progress, build, measured
-from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.vector_density import AnyDensity, Inferred
 
 LogDensity = Callable[[Float[np.ndarray, "points size"]], Float[np.ndarray, " points"]]
 NUM_CHAINS = 4  # groups of particles; so that every method's result has the same shape
@@ -152,7 +158,7 @@ def _for_jax(function: LogDensity):
 
 
 def fit(
-    problem: Problem,
+    problem: Inferred,
     key: int | jax.Array,
     *,
     num_samples: int = 1000,
@@ -204,12 +210,11 @@ def fit(
 
 
 def _beginning(
-    problem: Problem, random: np.random.Generator, count: int, initial: str
-) -> tuple[Density, LogDensity, Float[np.ndarray, "particles size"]]:
+    problem: Inferred, random: np.random.Generator, count: int, initial: str
+) -> tuple[AnyDensity, LogDensity, Float[np.ndarray, "particles size"]]:
     """The density, and the normalized initial one with its particles."""
     if initial == "prior":
-        found = find_map(problem)
-        density = Density.at(freed(found) if problem.unknowns.varying else found)
+        density = posterior_of(problem)
         return density, log_prior, random.standard_normal((count, density.size))
     mode = mode_of(problem)
     wide = stats.multivariate_t(np.zeros(mode.density.size), df=DEGREES)
