@@ -70,7 +70,7 @@ class VectorProblem(ABC):
         """The inverse of `constrained`."""
         return np.stack([p.to_normal(column) for p, column in zip(self.priors, theta.T, strict=True)], 1)
 
-    def prepare(self) -> None:
+    def prepare(self) -> None:  # noqa: B027  most need nothing
         """Do once what all inference needs; what is sent to other processes then has it."""
 
     @property

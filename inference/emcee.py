@@ -31,7 +31,7 @@ def fit(
     num_samples: int = 1000,
     num_walkers: int | None = None,
     num_autocorrelation_times: float = 50.0,
-    max_steps: int = 5000,
+    max_steps: int = 10_000,
     progress: Progress | None = None,
 ) -> DataTree:
     """At least `num_samples` thinned draws; walkers are the chains: judge by autocorrelation time, not R-hat.

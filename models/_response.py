@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.polynomial import chebyshev
 
-DEGREE = 7  # of the polynomial, in all psi together
+DEGREE = 8  # of the polynomial, in all psi together
 LEAST_MOVED = 0.05  # error sds: components that psi moves by less say nothing of it
 
 

@@ -22,8 +22,6 @@ from det2stoc_bayes.study import Parameter
 from det2stoc_bayes.unknowns import Block, Unknowns, lay_out
 from det2stoc_bayes.vector_problem import VectorProblem
 
-NUM_RECORDINGS = 10
-NUM_SIMULATED = 8192
 SEED = 1  # of the recordings, and of the simulations that the likelihood is made of
 LEAST_SPREAD = 0.01  # prior sds: sigma where the search for the mode begins, at least
 
@@ -34,8 +32,8 @@ class Windowed(VectorProblem):
     parameters: ClassVar[tuple[Parameter, ...]]  # all vary by recording, with a prior truncated to a box
     reality: ClassVar[Normals]  # that the problem's own recordings are of
     noise: ClassVar[Float[np.ndarray, " features"]]  # sd of what a window shows
-    recordings = tuple(f"run_{k + 1:02d}" for k in range(NUM_RECORDINGS))
-    num_simulated = NUM_SIMULATED
+    recordings = tuple(f"run_{k + 1:02d}" for k in range(10))
+    num_simulated = 8192
 
     @abstractmethod
     def seen(self, psi: Float[np.ndarray, "sims psi"]) -> Float[np.ndarray, "sims features"]:
@@ -59,7 +57,7 @@ class Windowed(VectorProblem):
     @cached_property
     def truth(self) -> Float[np.ndarray, "recordings psi"]:
         """psi of the problem's own recordings."""
-        return self.reality.draw(np.random.default_rng([SEED, 0]), NUM_RECORDINGS)
+        return self.reality.draw(np.random.default_rng([SEED, 0]), len(self.recordings))
 
     @cached_property
     def observed(self) -> Float[np.ndarray, " features"]:
@@ -93,9 +91,9 @@ class Windowed(VectorProblem):
         self, theta: Float[np.ndarray, "points size"], x: Float[np.ndarray, " features"]
     ) -> Float[np.ndarray, "points recordings"]:
         """log p(window | the recording's psi)."""
-        psi, there = self._own(theta), self.response.components(x.reshape(NUM_RECORDINGS, -1))
+        psi, there = self._own(theta), self.response.components(x.reshape(len(self.recordings), -1))
         terms = self.response.log_density(psi.reshape(-1, psi.shape[-1]), np.tile(there, (len(theta), 1)))
-        return terms.reshape(len(theta), NUM_RECORDINGS)
+        return terms.reshape(len(theta), len(self.recordings))
 
     def log_likelihood(
         self, theta: Float[np.ndarray, "points size"], x: Float[np.ndarray, " features"]
@@ -127,7 +125,7 @@ class Windowed(VectorProblem):
 
     def volume(self, theta: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points recordings"]:
         """log density of each recording's psi under the population less that under psi's prior."""
-        out = np.zeros((len(theta), NUM_RECORDINGS))
+        out = np.zeros((len(theta), len(self.recordings)))
         for b in self.unknowns.blocks:
             mu, sigma, own = _split(b, theta)
             given = b.parameter.prior.arguments
@@ -136,7 +134,7 @@ class Windowed(VectorProblem):
 
     def first_guess(self, x: Float[np.ndarray, " features"]) -> Float[np.ndarray, " size"]:
         """Each recording at the likeliest of many psi of the prior, the population at their mean and spread."""
-        there = self.response.components(x.reshape(NUM_RECORDINGS, -1))
+        there = self.response.components(x.reshape(len(self.recordings), -1))
         psi = self._simulated
         off = ((there[:, None] - self.response.predicted(psi)) ** 2).sum(-1)
         near, w = psi[off.argmin(1)], np.empty(self.size)
@@ -155,7 +153,7 @@ class Windowed(VectorProblem):
     @property
     def settings(self) -> tuple[object, ...]:
         """What the likelihood follows from, besides the scene."""
-        return (SEED, NUM_SIMULATED, DEGREE, LEAST_MOVED)
+        return (SEED, self.num_simulated, DEGREE, LEAST_MOVED)
 
     @cached_property
     def _spreads(self) -> tuple[Prior, ...]:
@@ -164,15 +162,13 @@ class Windowed(VectorProblem):
 
     @property
     def _simulated(self) -> Float[np.ndarray, "sims psi"]:
-        return self._prior.draw(np.random.default_rng([SEED, 2]), NUM_SIMULATED)
+        return self._prior.draw(np.random.default_rng([SEED, 2]), self.num_simulated)
 
     @cached_property
     def _prior(self) -> Normals:
-        columns = zip(
-            *(tuple(p.prior.arguments[a] for a in ("loc", "scale", "low", "high")) for p in self.parameters),
-            strict=True,
-        )
-        return Normals(*columns)
+        given = [p.prior.arguments for p in self.parameters]
+        loc, scale, low, high = (tuple(g[a] for g in given) for a in ("loc", "scale", "low", "high"))
+        return Normals(loc, scale, low, high)
 
     def _own(self, theta: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "points recordings psi"]:
         return np.stack([theta[:, b.first_own : b.stop] for b in self.unknowns.blocks], -1)
