@@ -33,6 +33,7 @@ NUM_CHAINS = 4  # groups of particles; so that every method's result has the sam
 LOWEST = -1e10  # log density ratio where a simulation diverged: finite, so that 0 times it is 0
 LEAST_STEP = 1e-9  # of b: below it tempering does not advance
 DEGREES = 5  # of freedom of the Student-t about the mode
+FORGOTTEN = 2  # unknowns a last stage: a random walk forgets where it began the more slowly the more there are
 RESCALE = 2.38  # of a random walk's step: Roberts, Gelman and Gilks (1997)
 
 
@@ -54,12 +55,13 @@ def temper(
     *,
     target_ess: float = 0.7,
     num_moves: int = 10,
+    num_last: int = 1,
     max_stages: int = 200,
     progress: Progress | None = None,
 ) -> Tempered:
     """Particles that were drawn from one density, moved to another; both are functions of batches, up to constants.
 
-    Raises SamplingFailed where `max_stages` do not reach the target.
+    `num_last` stages move them under the target itself. SamplingFailed: `max_stages` do not reach it.
     """
     import blackjax
     from blackjax.smc.resampling import systematic
@@ -72,8 +74,8 @@ def temper(
     step = jax.jit(kernel, static_argnums=2)
     state = blackjax.adaptive_tempered_smc.init(jnp.asarray(particles))
     tempering, acceptance, evidence = [0.0], [], float(np.log(alive))
-    # A stage moves the particles under the b that was reached before: one more moves them under the target.
-    while len(acceptance) < len(tempering):
+    # A stage moves the particles under the b that was reached before: further ones move them under the target.
+    while len(acceptance) < len(tempering) + num_last - 1:
         key, now = jax.random.split(key)
         state, info = step(now, state, num_moves, {"root": _step_root(state.particles, state.weights)[None]})
         acceptance.append(float(info.update_info.acceptance_rate.mean()))
@@ -81,7 +83,7 @@ def temper(
             progress(len(acceptance), max_stages)
         reached = tempering[-1]
         if reached >= 1.0:
-            break
+            continue
         tempering.append(min(float(state.tempering_param), 1.0))
         evidence += float(info.log_likelihood_increment)
         if len(tempering) > max_stages or not tempering[-1] > reached + LEAST_STEP:
@@ -187,6 +189,7 @@ def fit(
             key,
             target_ess=target_ess,
             num_moves=num_moves,
+            num_last=max(density.size // FORGOTTEN, 1),
             max_stages=max_stages,
             progress=progress,
         )
