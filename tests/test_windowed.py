@@ -12,6 +12,7 @@ from det2stoc_bayes.models._population import Normals
 from det2stoc_bayes.models._response import Response
 from det2stoc_bayes.models._windowed import Windowed
 from det2stoc_bayes.priors import Prior
+from det2stoc_bayes.report.summary import summarize
 from det2stoc_bayes.study import Parameter, Target
 from det2stoc_bayes.two_samples import c2st
 from det2stoc_bayes.vector_density import VectorDensity, find_peak
@@ -119,6 +120,8 @@ def test_exact_samplers_agree_and_find_the_population(posed):
             assert tree.log_likelihood["values"].shape[-1] == 3
         exact = posed.problem.by_recording(posed.problem.constrained(draws[name]), posed.x)
         np.testing.assert_allclose(tree.log_likelihood["values"].values.reshape(-1, 3), exact, atol=1e-6)
+        rows = {row.name: row for row in summarize(tree)}
+        assert (rows["a[one]"].r_hat is None) == (name == "emcee")  # walkers are no independent chains
     assert c2st(draws["smc"], draws["emcee"]) < 0.55
 
 
