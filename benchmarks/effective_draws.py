@@ -82,7 +82,10 @@ def measured(way: str, num_samples: int, seed: int) -> dict[str, Any]:
         seconds = time.perf_counter() - began
     parts = dict.fromkeys(PARTS, 0.0) | watch.seconds | {"compile": float(tree.attrs["seconds_compile"])}
     if engine == "mjx":
-        parts |= _within_mjx(density_of(problem), int(tree.attrs["gradients"]))
+        steps = tree["sample_stats"]["n_steps"].values  # chains advance together, as many steps as the longest one
+        batches = int(tree.attrs["gradients"]) * steps.max(0).sum() / steps.sum()
+        within = _within_mjx(density_of(problem), batches)
+        parts |= {"gradients": within["gradients"], "simulation": parts["simulation"] + within["simulation"]}
     parts["rest"] = seconds - sum(parts[p] for p in PARTS if p != "rest")
     ess = min(row.ess or 0.0 for row in summarize(tree))
     return {
@@ -97,8 +100,8 @@ def measured(way: str, num_samples: int, seed: int) -> dict[str, Any]:
     }
 
 
-def _within_mjx(density: Density, num_gradients: int) -> dict[str, float]:
-    """What so many gradients take, by the time of one for each chain: inside of a compiled step no clock runs."""
+def _within_mjx(density: Density, num_batches: float) -> dict[str, float]:
+    """What so many gradients of all chains at once take, by the time of one: inside of a compiled step no clock runs."""
     z = density.center + 0.1 * np.random.default_rng(0).standard_normal((NUM_CHAINS, density.size)) @ density.scale.T
     plain = jax.jit(jax.vmap(mjx_terms(density)))
     value: Callable[[], Any] = lambda: plain(jnp.asarray(z)).block_until_ready()  # noqa: E731
@@ -110,7 +113,7 @@ def _within_mjx(density: Density, num_gradients: int) -> dict[str, float]:
         began = time.perf_counter()
         for _ in range(REPEATED):
             run()
-        took.append((time.perf_counter() - began) / REPEATED * num_gradients / NUM_CHAINS)
+        took.append((time.perf_counter() - began) / REPEATED * num_batches)
     return {"simulation": took[0], "gradients": max(took[1] - took[0], 0.0)}
 
 
@@ -123,11 +126,14 @@ def row(line: dict[str, Any]) -> str:
 def main() -> int:
     """Each way once."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("ways", nargs="*", help=f"of: {', '.join(WAYS)}; all unless told")
     parser.add_argument("--num-samples", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     print(f"| | ESS | s | ESS/s | {' | '.join(PARTS)} |\n|---|---|---|---|{'---|' * len(PARTS)}")
-    for way in WAYS:
+    if wrong := set(options.ways) - set(WAYS):
+        parser.error(f"unknown ways {', '.join(sorted(wrong))}; allowed: {', '.join(WAYS)}")
+    for way in options.ways or WAYS:
         line = measured(way, options.num_samples, options.seed)
         append(LOG, {"commit": revision()} | line)
         print(row(line), flush=True)
