@@ -101,7 +101,7 @@ def measured(way: str, num_samples: int, seed: int) -> dict[str, Any]:
 
 
 def _within_mjx(density: Density, num_batches: float) -> dict[str, float]:
-    """What so many gradients of all chains at once take, by the time of one: inside of a compiled step no clock runs."""
+    """What so many gradients of all chains at once take, by the time of one: within a compiled step no clock runs."""
     z = density.center + 0.1 * np.random.default_rng(0).standard_normal((NUM_CHAINS, density.size)) @ density.scale.T
     plain = jax.jit(jax.vmap(mjx_terms(density)))
     value: Callable[[], Any] = lambda: plain(jnp.asarray(z)).block_until_ready()  # noqa: E731
