@@ -13,6 +13,7 @@ from det2stoc_bayes.errors import MethodNotApplicable, listing
 from det2stoc_bayes.problem import Problem, make_problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
+from det2stoc_bayes.vector_density import Inferred
 from det2stoc_bayes.verbs import chosen_method
 
 if TYPE_CHECKING:
@@ -170,7 +171,7 @@ def _replicator(posed: Callable[[], Problem], start: "Start") -> "Replicate":
     return partial(replicate, posed(), start)
 
 
-def _fitted(name: str, options: Mapping[str, Any], problem: Problem, key: int, *, num_samples: int) -> Any:
+def _fitted(name: str, options: Mapping[str, Any], problem: Inferred, key: int, *, num_samples: int) -> Any:
     from det2stoc_bayes.inference import get_method
 
     return get_method(name).fit(problem, key, num_samples=num_samples, **options)
