@@ -29,7 +29,7 @@ help:
 	@echo "make stripped  the same without a documented piece of their models"
 	@echo "make amortized  det2stoc and a CVAE of recordings alone on them: held-out log densities"
 	@echo "make tuning  Windy Slope's models over the same grid of widths and learning rates"
-	@echo "make compare  amortized beside exact posteriors: linear_gaussian, pendulum, cartpole"
+	@echo "make compare  amortized beside exact posteriors of the problems by name"
 	@echo "make compare-sbi  npe on problems of the SBI benchmark, by the benchmark's own measure"
 	@echo "make clean   remove .venv and caches; results in out/ stay"
 

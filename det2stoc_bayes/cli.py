@@ -16,7 +16,7 @@ from det2stoc_bayes.cli_given import KINDS, load, made_by, study_or_problem
 from det2stoc_bayes.cli_help import EXAMPLES, SHELL, experiments, methods, starting
 from det2stoc_bayes.errors import Det2StocError, listing
 from det2stoc_bayes.files import check_folder
-from det2stoc_bayes.models import VECTORS
+from det2stoc_bayes.models import POSED, VECTORS
 from det2stoc_bayes.streams import reporting, show, show_report
 
 LEAST_DRAWS, MOST_DRAWS, MOST_SEED = 4, 10_000_000, 2**63 - 1
@@ -36,7 +36,7 @@ app = typer.Typer(
 
 StudyFolder = Annotated[Path, typer.Argument(metavar="STUDY", help="The study's folder.", show_default=False)]
 StudyOrProblem = Annotated[
-    str, typer.Argument(metavar="STUDY|PROBLEM", help=f"One of: {listing(KINDS)}.", show_default=False)
+    str, typer.Argument(metavar="STUDY|PROBLEM", help=f"One of: {listing((*KINDS, *POSED), 9)}.", show_default=False)
 ]
 AnyProblem = Annotated[
     str,
@@ -146,7 +146,7 @@ def compare(
         asked = [name.strip() for name in methods.split(",") if name.strip()]
         options = {"seed": seed, "num_seeds": num_seeds, "engine": engine, "num_samples": num_samples}
         options |= {"jobs": jobs, "cluster": cluster, "progress": stages}
-        believed = study_or_problem(problem)
+        believed = study_or_problem(problem, POSED)
         name = believed if isinstance(believed, str) else believed.name
         found = verbs.compare(believed, asked, out, **options)
         told = plain(tables.compare_json(found) | {"doubts": misfits(found)})

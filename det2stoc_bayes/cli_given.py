@@ -20,7 +20,7 @@ def study_or_problem(given: str, more: tuple[str, ...] = ()) -> "det2stoc_bayes.
         raise Det2StocError(f"the study: found nothing; {choices(given, (*KINDS, *more))}")
     if Path(given).exists() or len(Path(given).parts) > 1:
         return load(Path(given))
-    if given in VECTORS and not more:
+    if given in VECTORS and given not in more:
         raise no_study(given)
     if given not in (*PROBLEMS, *more):
         raise Det2StocError(f"{given}: no such folder or problem; {choices(given, (*KINDS, *more))}")

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from det2stoc_bayes.density import Density
 from det2stoc_bayes.likelihood import residuals
+from det2stoc_bayes.vector_density import AnyDensity
 
 Terms = Callable[[Array], Array]  # z (size) -> log likelihood by recording (recordings)
 
@@ -28,7 +29,7 @@ class HasGradient(Protocol):
 class Remembered:
     """Each point is simulated once: chains that wait for others, and the draws afterwards, cost nothing."""
 
-    def __init__(self, source: HasGradient, density: Density):
+    def __init__(self, source: HasGradient, density: AnyDensity):
         self._source, self._density = source, density
         self._seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -54,15 +55,15 @@ class Remembered:
         return [self._seen[key] for key in keys]
 
 
-def jax_terms(density: Density, source: HasGradient | None = None) -> Terms:
+def jax_terms(density: AnyDensity, source: HasGradient | None = None) -> Terms:
     """log likelihood by recording of one z, for jax.
 
     Reverse mode returns the gradient of the sum: differentiate only functions of that sum.
     """
     jax.config.update("jax_enable_x64", True)
-    if density.problem.simulator.engine.name == "mjx":
+    if isinstance(density, Density) and density.problem.engine == "mjx":
         return _mjx_terms(density)
-    return _callback_terms(source or density, len(density.problem.segments.recordings))
+    return _callback_terms(source or density, len(density.problem.recordings))
 
 
 def _callback_terms(source: HasGradient, num_recordings: int) -> Terms:

@@ -22,6 +22,8 @@ from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import atomic_write
 from det2stoc_bayes.mismatch.evidence import CHANCE
 from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.vector_density import AnyDensity, Inferred, VectorDensity
+from det2stoc_bayes.vector_problem import Posed
 
 PACKAGES = (
     "det2stoc-bayes",
@@ -55,18 +57,18 @@ class Cost:
     gradients: int = 0
     _begun: tuple[float, int, int] = field(default=(0.0, 0, 0), repr=False)
 
-    def stop(self, problem: Problem) -> None:
+    def stop(self, problem: Inferred) -> None:
         """Read clock and counter."""
         began, simulations, gradients = self._begun
         self.seconds_run = time.perf_counter() - began - self.seconds_compile
-        self.simulations = problem.simulator.counter.simulations - simulations
-        self.gradients = problem.simulator.counter.gradients - gradients
+        self.simulations = problem.counter.simulations - simulations
+        self.gradients = problem.counter.gradients - gradients
 
 
 @contextmanager
-def measured(problem: Problem) -> Iterator[Cost]:
+def measured(problem: Inferred) -> Iterator[Cost]:
     """Time and simulations of a method, from the search for the MAP on; libraries' warnings are silenced."""
-    counter = problem.simulator.counter
+    counter = problem.counter
     cost = Cost(_begun=(time.perf_counter(), counter.simulations, counter.gradients))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -74,7 +76,7 @@ def measured(problem: Problem) -> Iterator[Cost]:
 
 
 def build(
-    density: Density,
+    density: AnyDensity,
     z: Float[np.ndarray, "chain draw size"],
     *,
     method: str,
@@ -86,11 +88,13 @@ def build(
 ) -> xr.DataTree:
     """The DataTree of draws z. A statistic is an array (chain, draw), or (dimensions, array)."""
     problem, lead = density.problem, ("chain", "draw")
+    if isinstance(density, VectorDensity):
+        z, log_likelihood = density.told(z, log_likelihood)
     flat = z.reshape(-1, density.size)
     draws = named_draws(problem, z)
     lp = (log_likelihood.sum(-1).reshape(-1) + log_prior(flat)).reshape(z.shape[:2])
     stats = {"lp": lp} | dict(sample_stats)
-    recording = [r.name for r in problem.segments.recordings]
+    recording = list(problem.recordings)
     cost.stop(problem)
     groups = {
         "posterior": xr.Dataset(draws, {"recording": recording} if problem.unknowns.varying else {}),
@@ -99,7 +103,8 @@ def build(
         "observed_data": observed_data(problem),
         "log_likelihood": xr.Dataset({"values": ((*lead, "recording"), log_likelihood)}, {"recording": recording}),
     }
-    if problem.measurement.degrees_of_freedom is None:  # of heavy tails no sum of squares is known
+    if isinstance(density, Density) and density.problem.measurement.degrees_of_freedom is None:
+        # Of heavy tails no sum of squares is known.
         groups["constant_data"] = _constants(density, recording)
     for name in ("posterior", "unconstrained_posterior", "sample_stats", "log_likelihood"):
         groups[name] = groups[name].assign_coords(chain=np.arange(z.shape[0]), draw=np.arange(z.shape[1]))
@@ -120,10 +125,10 @@ def _constants(density: Density, recordings: list[str]) -> xr.Dataset:
     return xr.Dataset({n: (("recording",), v) for n, v in variables.items()}, {"recording": recordings})
 
 
-def _attributes(problem: Problem, method: str, options: Mapping[str, Any], seed: int, cost: Cost) -> dict[str, Any]:
+def _attributes(problem: Inferred, method: str, options: Mapping[str, Any], seed: int, cost: Cost) -> dict[str, Any]:
     return {
         "method": method,
-        "engine": problem.simulator.engine.name,
+        "engine": problem.engine,
         "options": json.dumps(dict(options), sort_keys=True),
         "seed": seed,
         "versions": json.dumps(versions(), sort_keys=True),
@@ -174,8 +179,10 @@ def with_groups(tree: xr.DataTree, **groups: Variables) -> xr.DataTree:
     return tree
 
 
-def _inflation(density: Density) -> float:
+def _inflation(density: AnyDensity) -> float:
     """Squared misfit at the mode over what the noise would leave, less chance; NaN where noise was not declared."""
+    if isinstance(density, VectorDensity):
+        return float("nan")
     problem = density.problem
     if any(c not in problem.simulator.study.noise for c in problem.segments.columns):
         return float("nan")
@@ -190,7 +197,7 @@ def variable_name(name: str) -> str:
 
 
 def named_draws(
-    problem: Problem, z: Float[np.ndarray, "chain draw size"], rename: Callable[[str], str] = variable_name
+    problem: Inferred, z: Float[np.ndarray, "chain draw size"], rename: Callable[[str], str] = variable_name
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     """Draws in their own units; a psi that varies is one variable with dim recording, beside `_mu` and `_sigma`."""
     lead, values = ("chain", "draw"), problem.constrained(z)
@@ -202,8 +209,10 @@ def named_draws(
     return {rename(n): (lead, np.asarray(v)) for n, v in values.items()} | out
 
 
-def observed_data(problem: Problem) -> xr.Dataset:
-    """Recorded values and times by recording, padded with NaN."""
+def observed_data(problem: Inferred) -> xr.Dataset:
+    """Recorded values and times by recording, padded with NaN; of a problem of vectors x as it is."""
+    if isinstance(problem, Posed):
+        return xr.Dataset({"x": (("feature",), problem.x)})
     segments = problem.segments
     count = len(segments.recordings)
     lengths = [sum(_length(segments.time[s]) for s in np.flatnonzero(segments.recording == r)) for r in range(count)]

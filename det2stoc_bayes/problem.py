@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from det2stoc_bayes.engines.base import EffectRows, Request, Start
+from det2stoc_bayes.engines.base import Counter, EffectRows, Request, Start
 from det2stoc_bayes.engines.layout import integrate_positions, quaternion_groups
 from det2stoc_bayes.likelihood import residuals
 from det2stoc_bayes.measurement import Measurement
@@ -55,6 +55,21 @@ class Problem:
         """Which of z belong to which psi."""
         names = [r.name for r in self.segments.recordings]
         return lay_out(self.simulator.parameters, names, self.spreads)
+
+    @property
+    def engine(self) -> str:
+        """What simulates: c or mjx."""
+        return self.simulator.engine.name
+
+    @property
+    def counter(self) -> Counter:
+        """Simulations run so far."""
+        return self.simulator.counter
+
+    @property
+    def recordings(self) -> tuple[str, ...]:
+        """Names of the recordings."""
+        return tuple(r.name for r in self.segments.recordings)
 
     @property
     def num_psi(self) -> int:

@@ -8,15 +8,15 @@ from jaxtyping import Float
 from det2stoc_bayes.psis import thinned
 
 Draws = Float[np.ndarray, "_ size"]
-WIDTH = 10  # hidden units an unknown, in each of two layers
+WIDTH, MOST_WIDTH = 10, 100  # hidden units an unknown, and in all, in each of two layers
 MOST_EPOCHS = 10_000
 
 
 def c2st(draws: Draws, reference: Draws, *, seed: int = 1, num_folds: int = 5) -> float:
     """Accuracy of a classifier that tells the two sets apart, cross-validated: 0.5 where none can.
 
-    The network of Lueckmann et al. (2021): two hidden layers, inputs in units of the first set; of the larger set as
-    many draws as the smaller one has.
+    The network of Lueckmann et al. (2021), no wider than for ten unknowns: two hidden layers, inputs in units of the
+    first set; of the larger set as many draws as the smaller one has.
     """
     from sklearn.model_selection import KFold, cross_val_score
     from sklearn.neural_network import MLPClassifier
@@ -25,7 +25,8 @@ def c2st(draws: Draws, reference: Draws, *, seed: int = 1, num_folds: int = 5) -
     center, scale = draws.mean(0), draws.std(0, ddof=1)
     scale = np.where(scale > 0, scale, 1.0)
     both = np.concatenate([thinned(draws, count), thinned(reference, count)])
-    network = MLPClassifier((WIDTH * size, WIDTH * size), max_iter=MOST_EPOCHS, random_state=seed)
+    width = min(WIDTH * size, MOST_WIDTH)
+    network = MLPClassifier((width, width), max_iter=MOST_EPOCHS, random_state=seed)
     folds = KFold(num_folds, shuffle=True, random_state=seed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a network that has not converged tells apart less

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from det2stoc_bayes.errors import MethodNotApplicable, SamplingFailed, SimulationDiverged, listing
 from det2stoc_bayes.files import check_files
-from det2stoc_bayes.problem import make_problem
+from det2stoc_bayes.problem import Problem, make_problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from det2stoc_bayes.comparison import Comparison, Kind, Reference
     from det2stoc_bayes.inference._stochastic import StochasticSimulator
     from det2stoc_bayes.mismatch.diagnose import Diagnosis
+    from det2stoc_bayes.vector_density import Inferred
+    from det2stoc_bayes.vector_problem import Posed
 
 
 def fit(
@@ -39,6 +41,22 @@ def fit(
 
     `num_samples` draws in all, or as many more as make chains equally long; `num_threads` simulate (0: one a core).
     """
+
+    def pose() -> Problem:
+        return make_problem(Simulator(study, engine, num_threads))
+
+    return _fitted(pose, method, seed, num_samples, progress, options)
+
+
+def _fitted(
+    pose: "Callable[[], Inferred]",
+    method: str,
+    seed: int,
+    num_samples: int,
+    progress: Callable[[str, int, int], None],
+    options: dict[str, Any],
+) -> "xarray.DataTree":
+    """The posterior of what `pose` gives, once the options are known to be the method's."""
     from det2stoc_bayes.inference import get_method
 
     run = get_method(method).fit
@@ -48,7 +66,7 @@ def fit(
             raise MethodNotApplicable(f"{method}: has no option '{name}'; allowed: {listing(list(known)[2:])}")
     if "progress" in known:
         options["progress"] = lambda done, total: progress("sampling", done, total)
-    problem = make_problem(Simulator(study, engine, num_threads))
+    problem = pose()
     progress(stage := f"fitting by {method}", 0, 1)
     found = run(problem, seed, num_samples=num_samples, **options)
     progress(stage, 1, 1)
@@ -83,8 +101,9 @@ def compare(
     if not methods:
         raise MethodNotApplicable(f"--methods: none is named; allowed: some of {listing(METHODS)}, separated by commas")
     chosen = [chosen_method(label, "--methods") for label in dict.fromkeys(methods)]
-    study, reference = (problem, None) if isinstance(problem, Study) else _known(problem, Path(out), seed)
-    made = {"content": Simulator(study).fingerprint, "version": version("det2stoc-bayes")}
+    source, reference = (problem, None) if isinstance(problem, Study) else _known(problem, Path(out), seed, engine)
+    content = Simulator(source).fingerprint if isinstance(source, Study) else source.fingerprint
+    made = {"content": content, "version": version("det2stoc-bayes")}
     tasks: dict[str, tuple[str, dict[str, Any]]] = {}
     for label, name, options in chosen:
         for s in range(seed, seed + num_seeds):
@@ -96,9 +115,11 @@ def compare(
     missing, failed = [run for run, tree in trees.items() if tree is None], {}
     there = len(tasks) - len(missing)
     progress("comparing methods", there, len(tasks))
+    if missing and not isinstance(source, Study):
+        source.problem.prepare()  # once, and not by every task
     with workers(jobs, cluster, progress, most=len(missing)) as executor:
         here = isinstance(executor, Here)
-        draw = partial(_drawn, study, tasks, 0 if here else 1, progress if here else _silent)
+        draw = partial(_drawn, source, tasks, 0 if here else 1, progress if here else _silent)
         for done, (run, result) in enumerate(finished(executor, draw, missing), there + 1):
             try:
                 tree = result()
@@ -115,27 +136,33 @@ def compare(
     return compare(runs, reference, failed={run: failed[run] for run in tasks if run in failed})
 
 
-def _known(name: str, out: Path, seed: int) -> "tuple[Study, Reference | None]":
-    """A problem of `models`, written as a study, and its posterior where that is known."""
+def _known(name: str, out: Path, seed: int, engine: str) -> "tuple[Study | Posed, Reference | None]":
+    """A problem of `models`, as a study that is written or as one of vectors, and its posterior where that is known."""
     from det2stoc_bayes.comparison import known_reference
-    from det2stoc_bayes.models import closed_form, record
+    from det2stoc_bayes.models import POSED, closed_form, posed, record
     from det2stoc_bayes.study import load_study
 
-    study = load_study(record(name, out / "problem" / name))
-    posed = make_problem(Simulator(study))
-    exact = closed_form(name, posed)
-    return study, None if exact is None else known_reference(*exact, posed.names, seed)
+    if name in POSED:
+        source = problem = posed(name, engine)
+    else:
+        source = load_study(record(name, out / "problem" / name))
+        problem = make_problem(Simulator(source))
+    exact = closed_form(name, problem)
+    return source, None if exact is None else known_reference(*exact, problem.names, seed)
 
 
 def _drawn(
-    study: Study,
+    source: "Study | Posed",
     tasks: Mapping[str, tuple[str, dict[str, Any]]],
     num_threads: int,
     progress: Callable[[str, int, int], None],
     run: str,
 ) -> "xarray.DataTree":
     name, how = tasks[run]
-    return fit(study, name, num_threads=num_threads, progress=progress, **how)
+    if isinstance(source, Study):
+        return fit(source, name, num_threads=num_threads, progress=progress, **how)
+    options = {key: value for key, value in how.items() if key not in ("seed", "engine", "num_samples")}
+    return _fitted(lambda: source, name, how["seed"], how["num_samples"], progress, options)
 
 
 def _silent(stage: str, done: int, total: int) -> None:

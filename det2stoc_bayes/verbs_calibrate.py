@@ -3,20 +3,25 @@
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from det2stoc_bayes.errors import MethodNotApplicable, listing
 from det2stoc_bayes.problem import Problem, make_problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.study import Study
+from det2stoc_bayes.vector_density import Inferred
 from det2stoc_bayes.verbs import chosen_method
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from det2stoc_bayes.calibration import Calibration, Fit, Replicate
     from det2stoc_bayes.engines.base import Start
+    from det2stoc_bayes.vector_problem import Posed
 
 type Progress = Callable[[str, int, int], None]
 
@@ -48,7 +53,9 @@ def calibrate(
     if name in NO_POSTERIOR:
         raise MethodNotApplicable(f"--method: {name} infers no posterior; allowed: a method that does, as nuts")
     vectors = isinstance(problem, str) and problem in VECTORS
-    source: _Source = _Vectors(str(problem), name, options) if vectors else _Study(problem, name, options, engine)
+    source: _Source = (
+        _vectors(str(problem), name, options, engine) if vectors else _Study(problem, name, options, engine)
+    )
     made = {"content": source.content, "version": version("det2stoc-bayes"), "method": label}
     made |= {"seed": seed, "engine": engine, "num_samples": num_samples}
     with workers(jobs, cluster, progress, most=num_replications) as executor:
@@ -63,6 +70,7 @@ def calibrate(
     return judge(every, problem=called, method=label, trained_once=source.learns_once, seed=seed)
 
 
+@runtime_checkable
 class _Source(Protocol):
     """What is calibrated: `content` changes with it."""
 
@@ -97,17 +105,39 @@ class _Study:
         return partial(_replicator, self.pose, start), fit
 
 
+def _vectors(problem: str, method: str, options: Mapping[str, Any], engine: str) -> "_Source":
+    """A problem of vectors, which `npe` learns once; other methods take one that has an observation of its own."""
+    from det2stoc_bayes.models import POSED, posed
+
+    if problem in POSED and method != "npe":
+        return _Posed(posed(problem, engine), method, options)
+    if method != "npe":
+        allowed = listing(("npe", "npe+psis"))
+        raise MethodNotApplicable(f"--method: {problem} is a problem of vectors; found {method}; allowed: {allowed}")
+    return _Vectors(problem, options)
+
+
+class _Posed:
+    """A problem of vectors, each of whose replications is posed anew."""
+
+    learns_once = False
+
+    def __init__(self, problem: "Posed", method: str, options: Mapping[str, Any]):
+        self.problem, self.method, self.options, self.content = problem, method, options, problem.fingerprint
+
+    def prepare(self, executor: Executor, seed: int, progress: Progress) -> "tuple[Callable[[], Replicate], Fit]":
+        progress("simulating what the likelihood is made of", 0, 1)
+        self.problem.problem.prepare()
+        progress("simulating what the likelihood is made of", 1, 1)
+        return partial(_posing, self.problem), partial(_fitted, self.method, self.options)
+
+
 class _Vectors:
-    """A problem of vectors, which `npe` alone learns."""
+    """A problem of vectors, which `npe` learns."""
 
     learns_once = True
 
-    def __init__(self, problem: str, method: str, options: Mapping[str, Any]):
-        if method != "npe":
-            allowed = listing(("npe", "npe+psis"))
-            raise MethodNotApplicable(
-                f"--method: {problem} is a problem of vectors; found {method}; allowed: {allowed}"
-            )
+    def __init__(self, problem: str, options: Mapping[str, Any]):
         self.content, self.options = problem, options
 
     def prepare(self, executor: Executor, seed: int, progress: Progress) -> "tuple[Callable[[], Replicate], Fit]":
@@ -141,7 +171,7 @@ def _replicator(posed: Callable[[], Problem], start: "Start") -> "Replicate":
     return partial(replicate, posed(), start)
 
 
-def _fitted(name: str, options: Mapping[str, Any], problem: Problem, key: int, *, num_samples: int) -> Any:
+def _fitted(name: str, options: Mapping[str, Any], problem: Inferred, key: int, *, num_samples: int) -> Any:
     from det2stoc_bayes.inference import get_method
 
     return get_method(name).fit(problem, key, num_samples=num_samples, **options)
@@ -159,6 +189,14 @@ def _applied(
     from det2stoc_bayes.inference import get_method
 
     return get_method(name).apply(trained, problem, key, num_samples=num_samples, **options)
+
+
+def _posing(problem: "Posed") -> "Replicate":
+    def replicate(random: "np.random.Generator") -> "tuple[Posed, Mapping[str, float]]":
+        x, truth = problem.problem.replicate(random)
+        return replace(problem, x=x), truth
+
+    return replicate
 
 
 def _drawing(name: str) -> "Replicate":

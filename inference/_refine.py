@@ -13,10 +13,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.density import Density, log_prior
+from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged, listing
 from det2stoc_bayes.posterior import DataTree, build
 from det2stoc_bayes.psis import effective_draws, resampled, smooth
+from det2stoc_bayes.vector_density import AnyDensity
 
 Refine = Literal["none", "psis"]
 SURPLUS = 4  # draws of the approximation for each that is wanted, lest one stand for many
@@ -38,7 +39,7 @@ class Weighed:
 
     @classmethod
     def of(
-        cls, density: Density, z: Float[np.ndarray, "draws size"], proposal: Float[np.ndarray, " draws"]
+        cls, density: AnyDensity, z: Float[np.ndarray, "draws size"], proposal: Float[np.ndarray, " draws"]
     ) -> "Weighed":
         """Draws weighed by the exact likelihood; SimulationDiverged where no simulation of one stays finite."""
         terms = density.log_likelihood_by_recording(z)
@@ -79,7 +80,7 @@ class Weighed:
         return self.k_hat < other.k_hat
 
     def moved(
-        self, density: Density, stretch: Float[np.ndarray, "size size"], to: Float[np.ndarray, " size"]
+        self, density: AnyDensity, stretch: Float[np.ndarray, "size size"], to: Float[np.ndarray, " size"]
     ) -> "Weighed":
         """The draws stretched about their mean, which goes to `to`; the proposal's density goes along."""
         z = to + (self.z - self.z.mean(0)) @ stretch.T
@@ -94,7 +95,7 @@ def num_proposed(num_samples: int, refine: Refine) -> int:
 
 
 def build_weighed(
-    density: Density,
+    density: AnyDensity,
     drawn: Weighed,
     num_chains: int,
     refine: Refine,
@@ -126,7 +127,7 @@ def build_weighed(
     return tree
 
 
-def matched(density: Density, drawn: Weighed) -> tuple[Weighed, int]:
+def matched(density: AnyDensity, drawn: Weighed) -> tuple[Weighed, int]:
     """The draws moved as often as that makes their weights better, and how often.
 
     Each of up to three moves that are tried simulates every draw once.
@@ -140,7 +141,7 @@ def matched(density: Density, drawn: Weighed) -> tuple[Weighed, int]:
     return drawn, MOST_MOVES
 
 
-def _moves(density: Density, drawn: Weighed) -> Iterator[Weighed]:
+def _moves(density: AnyDensity, drawn: Weighed) -> Iterator[Weighed]:
     """The draws with the weighted ones' mean; with their variances, too; with their covariance."""
     weights, size = drawn.weights, density.size
     to = weights @ drawn.z

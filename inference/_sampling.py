@@ -10,13 +10,18 @@ from jaxtyping import Float
 
 from det2stoc_bayes.density import Density
 from det2stoc_bayes.density_jax import HasGradient, Remembered, Terms, count, jax_terms
+from det2stoc_bayes.errors import MethodNotApplicable, listing
 from det2stoc_bayes.map import Expansion, expand, find_map, find_mode
 from det2stoc_bayes.populations import freed
 from det2stoc_bayes.posterior import Cost, Progress
 from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.vector_density import AnyDensity, Inferred, VectorDensity, find_peak
+from det2stoc_bayes.vector_problem import Posed
 
+type Mode = Expansion | VectorDensity
 Gradient = Literal["auto", "expansion", "finite"]
 NUM_CHAINS = 4  # of independent draws, so that every method's result has the same shape
+OF_VECTORS = ("blackjax_nuts", "emcee", "laplace", "npe", "nuts", "prior", "smc", "svi")  # methods that need no study
 NUM_CHECKED = 4  # points where the expansion's gradient is compared with finite differences
 TOLERATED = 0.2  # rms error of a gradient in u, whose typical size is 1
 
@@ -39,14 +44,21 @@ def numpy_random(key: jax.Array) -> np.random.Generator:
     return np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel().tolist())
 
 
+def posterior_of(problem: Inferred) -> AnyDensity:
+    """A problem's density, in whatever coordinates suit it."""
+    return find_peak(problem) if isinstance(problem, Posed) else density_of(problem)
+
+
 def density_of(problem: Problem) -> Density:
-    """A problem's density, the MAP's initial states integrated out; spreads of psi that varies are unknowns."""
+    """A study's density, the MAP's initial states integrated out; spreads of psi that varies are unknowns."""
     found = find_map(problem)
     return Density.at(freed(found) if problem.unknowns.varying else found)
 
 
-def mode_of(problem: Problem) -> Expansion:
+def mode_of(problem: Inferred) -> Mode:
     """The mode of a problem's density, and its shape there."""
+    if isinstance(problem, Posed):
+        return find_peak(problem)
     return mode_at(density_of(problem))
 
 
@@ -61,7 +73,7 @@ def mode_at(density: Density) -> Expansion:
     return find_mode(density)
 
 
-def normal_draws(mode: Expansion, random: np.random.Generator, *shape: int) -> Float[np.ndarray, "*shape size"]:
+def normal_draws(mode: Mode, random: np.random.Generator, *shape: int) -> Float[np.ndarray, "*shape size"]:
     """Draws of the Gaussian at the mode."""
     return mode.center + random.standard_normal((*shape, mode.density.size)) @ mode.scale.T
 
@@ -69,6 +81,13 @@ def normal_draws(mode: Expansion, random: np.random.Generator, *shape: int) -> F
 def per_chain(num_samples: int, num_chains: int) -> int:
     """Draws a chain so that there are `num_samples` in all."""
     return -(-num_samples // num_chains)
+
+
+def of_study(problem: Inferred, method: str, why: str) -> Problem:
+    """A study's problem; MethodNotApplicable for one of vectors, which lacks what `why` says."""
+    if isinstance(problem, Posed):
+        raise MethodNotApplicable(f"{method}: {problem.name} {why}; allowed: {listing(OF_VECTORS)}")
+    return problem
 
 
 class Target:
@@ -79,10 +98,10 @@ class Target:
     where it is good. MJX has exact gradients and ignores the choice.
     """
 
-    def __init__(self, mode: Expansion, random: np.random.Generator, gradient: Gradient = "auto"):
+    def __init__(self, mode: Mode, random: np.random.Generator, gradient: Gradient = "auto"):
         density = mode.density
         jax.config.update("jax_enable_x64", True)
-        self.density, self.exact = density, density.problem.simulator.engine.name == "mjx"
+        self.density, self.exact = density, density.problem.engine == "mjx"
         if self.exact:
             self.gradient, self._remembered = "forward", None
             self.terms: Terms = jax_terms(density)
@@ -100,10 +119,11 @@ class Target:
 
     def book(self, num_gradients: int) -> None:
         """Count gradients that were taken inside of jax."""
-        count(self.density, num_gradients)
+        if isinstance(self.density, Density):
+            count(self.density, num_gradients)
 
 
-def _choose(mode: Expansion, random: np.random.Generator) -> Gradient:
+def _choose(mode: Mode, random: np.random.Generator) -> Gradient:
     z = normal_draws(mode, random, NUM_CHECKED)
     values, approximate = mode.terms_and_grad(z)
     _, finite = mode.density.terms_and_grad(z)

@@ -1,16 +1,20 @@
 """Neural posterior estimation on problems of vectors: x is learned from as it is."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.inference._flow import ConditionalFlow, Training
 from det2stoc_bayes.inference._flow import train as train_flow
-from det2stoc_bayes.inference._refine import SURPLUS, Refine, num_proposed
+from det2stoc_bayes.inference._refine import SURPLUS, Refine, Weighed, build_weighed, num_proposed
 from det2stoc_bayes.inference._sampling import NUM_CHAINS, as_key, numpy_random, per_chain, seed_of
-from det2stoc_bayes.posterior import DataTree, build_vectors
+from det2stoc_bayes.posterior import DataTree, Progress, build_vectors, measured
 from det2stoc_bayes.psis import effective_draws, resampled, smooth
-from det2stoc_bayes.vector_problem import VectorProblem
+from det2stoc_bayes.vector_density import VectorDensity
+from det2stoc_bayes.vector_problem import Posed, VectorProblem
 
 
 def train(
@@ -20,6 +24,32 @@ def train(
     key = as_key(key)
     z, x = problem.draw(num_simulations, numpy_random(key))
     return train_flow(z, x, key, training or Training())
+
+
+def fit(problem: Posed, key: int | jax.Array, options: Mapping[str, Any], progress: Progress) -> DataTree:
+    """As `npe.fit`, whose options these are, of a problem of vectors."""
+    refine, each = options["refine"], per_chain(options["num_samples"], NUM_CHAINS)
+    proposed = NUM_CHAINS * num_proposed(each, refine)
+    training = Training(**{name: options[name] for name in ("num_members", "width", "patience", "num_epochs")})
+    learn, draw = jax.random.split(key := as_key(key))
+    with measured(problem) as cost:
+        density, random = VectorDensity.of_prior(problem), numpy_random(key)
+        z, x = problem.problem.draw(options["num_simulations"], random)
+        problem.counter.simulations += len(z)
+        flow = train_flow(z, x, learn, training, progress=progress)
+        drawn = flow.sample(draw, problem.x, proposed)
+        return build_weighed(
+            density,
+            Weighed.of(density, drawn, flow.log_density(drawn, problem.x)),
+            NUM_CHAINS,
+            refine,
+            random,
+            sample_stats={"loss": (("epoch",), flow.history.mean(1))},
+            method="npe",
+            options=options,
+            seed=seed_of(key),
+            cost=cost,
+        )
 
 
 def refined(

@@ -6,14 +6,14 @@ from det2stoc_bayes.errors import MethodNotApplicable
 from det2stoc_bayes.inference._amortized import Options, baseline
 from det2stoc_bayes.inference._cvae import Schedule
 from det2stoc_bayes.inference._predictive import heldout_transitions, kept, predictions
-from det2stoc_bayes.inference._sampling import as_key, seed_of
+from det2stoc_bayes.inference._sampling import as_key, of_study, seed_of
 from det2stoc_bayes.posterior import DataTree, Progress, build_predictive, measured, with_groups
-from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.study_transitions import StudyTransitions
+from det2stoc_bayes.vector_density import Inferred
 
 
 def fit(
-    problem: Problem,
+    problem: Inferred,
     key: int | jax.Array,
     *,
     num_samples: int = 1000,
@@ -22,6 +22,7 @@ def fit(
 ) -> DataTree:
     """Log densities of held-out transitions; `num_samples` latents weigh each, `num_steps` steps train the networks."""
     key = as_key(key)
+    problem = of_study(problem, "baseline_cvae", "has no held-out recordings to predict")
     if not problem.simulator.study.holdout:
         raise MethodNotApplicable("baseline_cvae predicts held-out recordings; allowed: a study with holdout")
     with measured(problem) as cost:

@@ -18,11 +18,11 @@ from det2stoc_bayes.inference._sampling import (
     stacked,
 )
 from det2stoc_bayes.posterior import DataTree, Progress, build, measured
-from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.vector_density import Inferred
 
 
 def fit(
-    problem: Problem,
+    problem: Inferred,
     key: int | jax.Array,
     *,
     num_samples: int = 1000,

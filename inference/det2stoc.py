@@ -16,7 +16,7 @@ from det2stoc_bayes.density import Density
 from det2stoc_bayes.inference._amortized import Iteration, Options, Population, iterate, pretrain
 from det2stoc_bayes.inference._predictive import heldout_transitions, kept, predictions
 from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
-from det2stoc_bayes.inference._sampling import as_key, density_of, numpy_random, per_chain, seed_of
+from det2stoc_bayes.inference._sampling import as_key, density_of, numpy_random, of_study, per_chain, seed_of
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.inference._surprise import surprise
 from det2stoc_bayes.inference._surrogate import Surrogate
@@ -25,6 +25,7 @@ from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.study_transitions import StudyTransitions
 from det2stoc_bayes.transitions import Scaling, Transitions
 from det2stoc_bayes.unknowns import of_population, population_draws
+from det2stoc_bayes.vector_density import Inferred
 
 NUM_CHAINS = 4
 FARTHEST = 2.5  # prior sds: psi of the first simulations, lest a heavy tail set the units
@@ -32,7 +33,7 @@ WIDER = 3.0  # posterior sds: how a psi that does not vary is simulated next, le
 
 
 def fit(
-    problem: Problem,
+    problem: Inferred,
     key: int | jax.Array,
     *,
     num_samples: int = 1000,
@@ -57,6 +58,7 @@ def fit(
         "num_steps": num_steps,
         "refine": refine,
     }
+    problem = of_study(problem, "det2stoc", "has no transitions to learn from")
     num_proposed(1, refine)  # what it may be, told before the work
     key = as_key(key)
     learn, draw, judge = jax.random.split(key, 3)

@@ -14,10 +14,9 @@ from scipy import stats
 
 from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.density_jax import Remembered
-from det2stoc_bayes.inference._sampling import as_key, mode_of, normal_draws, numpy_random, per_chain, seed_of
-from det2stoc_bayes.map import Expansion
+from det2stoc_bayes.inference._sampling import Mode, as_key, mode_of, normal_draws, numpy_random, per_chain, seed_of
 from det2stoc_bayes.posterior import DataTree, Progress, build, measured
-from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.vector_density import Inferred
 
 CHECK_EVERY = 25  # steps
 BURN_IN = 3.0  # autocorrelation times left out (the walkers start as draws of the mode's Gaussian)
@@ -26,13 +25,13 @@ SHARE = 0.6  # of steps that are independent draws
 
 
 def fit(
-    problem: Problem,
+    problem: Inferred,
     key: int | jax.Array,
     *,
     num_samples: int = 1000,
     num_walkers: int | None = None,
     num_autocorrelation_times: float = 50.0,
-    max_steps: int = 5000,
+    max_steps: int = 10_000,
     progress: Progress | None = None,
 ) -> DataTree:
     """At least `num_samples` thinned draws; walkers are the chains: judge by autocorrelation time, not R-hat.
@@ -90,7 +89,7 @@ def fit(
         )
 
 
-def _independent(mode: Expansion):
+def _independent(mode: Mode):
     wide = stats.multivariate_t(np.zeros(mode.density.size), df=DEGREES)
 
     def propose(z: Float[np.ndarray, "walkers size"], random: np.random.RandomState):
@@ -103,12 +102,13 @@ def _independent(mode: Expansion):
 
 def _run(sampler, first, draws, num_times, max_steps, progress) -> tuple[Float[np.ndarray, " size"], bool]:
     """Autocorrelation times, and whether enough of them have passed."""
-    time = np.full(first.shape[1], np.inf)
+    time, check = np.full(first.shape[1], np.inf), CHECK_EVERY
     for _ in sampler.sample(first, iterations=max_steps, store=True):
         if progress is not None:
             progress(sampler.iteration, max_steps)
-        if sampler.iteration % CHECK_EVERY:
+        if sampler.iteration < check:
             continue
+        check += max(CHECK_EVERY, sampler.iteration // 20)  # of a long chain it takes longer than steps do
         time = np.maximum(sampler.get_autocorr_time(tol=0), 1.0)
         if not np.isfinite(time).all():
             continue

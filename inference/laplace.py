@@ -15,10 +15,10 @@ from det2stoc_bayes.inference._sampling import (
     seed_of,
 )
 from det2stoc_bayes.posterior import DataTree, measured
-from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.vector_density import Inferred
 
 
-def fit(problem: Problem, key: int | jax.Array, *, num_samples: int = 1000, refine: Refine = "none") -> DataTree:
+def fit(problem: Inferred, key: int | jax.Array, *, num_samples: int = 1000, refine: Refine = "none") -> DataTree:
     """Draws of N(mode, inverse curvature); `log_weight` is log target - log Gaussian.
 
     `refine`: "psis" resamples by the exact likelihood.

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from det2stoc_bayes.density import Density
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged
-from det2stoc_bayes.inference import _flow
+from det2stoc_bayes.inference import _flow, _vectors
 from det2stoc_bayes.inference._flow import FEWEST, ConditionalFlow, Training
 from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
 from det2stoc_bayes.inference._sampling import NUM_CHAINS, as_key, density_of, numpy_random, per_chain, seed_of
@@ -28,13 +28,15 @@ from det2stoc_bayes.linearization import tangent
 from det2stoc_bayes.posterior import Cost, DataTree, Progress, measured
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.recording import Recording
+from det2stoc_bayes.vector_density import Inferred
+from det2stoc_bayes.vector_problem import Posed
 
 MOST_ROWS = 1000  # simulations that the components are found from
 LEAST_SIGNAL = 0.01  # of the noise's variance: what a component tells less than this is nothing
 
 
 def fit(
-    problem: Problem,
+    problem: Inferred,
     key: int | jax.Array,
     *,
     num_samples: int = 1000,
@@ -61,6 +63,8 @@ def fit(
         "num_epochs": num_epochs,
     }
     options = {"num_samples": num_samples} | learning | {"refine": refine}
+    if isinstance(problem, Posed):
+        return _vectors.fit(problem, key, options, progress or (lambda *_: None))
     each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
     _refuse(problem, num_simulations)
     learn, draw = jax.random.split(key := as_key(key))

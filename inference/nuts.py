@@ -12,6 +12,7 @@ from det2stoc_bayes.density import Density
 from det2stoc_bayes.density_jax import jax_log_prior
 from det2stoc_bayes.inference._sampling import (
     Gradient,
+    Mode,
     Target,
     advance,
     as_key,
@@ -23,13 +24,12 @@ from det2stoc_bayes.inference._sampling import (
     seed_of,
     stacked,
 )
-from det2stoc_bayes.map import Expansion
 from det2stoc_bayes.posterior import Cost, DataTree, Progress, build, measured
-from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.vector_density import Inferred
 
 
 def fit(
-    problem: Problem,
+    problem: Inferred,
     key: int | jax.Array,
     *,
     num_samples: int = 1000,
@@ -74,7 +74,7 @@ class Chains:
 
 
 def sample(
-    mode: Expansion,
+    mode: Mode,
     key: jax.Array,
     *,
     num_samples: int,

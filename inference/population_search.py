@@ -13,11 +13,20 @@ from jaxtyping import Float
 
 from det2stoc_bayes.density import Density
 from det2stoc_bayes.errors import MethodNotApplicable, SamplingFailed
-from det2stoc_bayes.inference._sampling import NUM_CHAINS, as_key, density_of, numpy_random, per_chain, seed_of
+from det2stoc_bayes.inference._sampling import (
+    NUM_CHAINS,
+    as_key,
+    density_of,
+    numpy_random,
+    of_study,
+    per_chain,
+    seed_of,
+)
 from det2stoc_bayes.metrics import energy_score
 from det2stoc_bayes.posterior import DataTree, Progress, build, measured
-from det2stoc_bayes.problem import Problem, repeat_start
+from det2stoc_bayes.problem import repeat_start
 from det2stoc_bayes.unknowns import of_population, population_draws
+from det2stoc_bayes.vector_density import Inferred
 
 FARTHEST = 4.0  # prior sds of mu from the prior's median
 SPREADS = (1e-3, 1.5)  # least and largest sigma, in prior sds
@@ -25,7 +34,7 @@ FIRST = (0.0, float(np.log(0.3)), 0.5)  # mu and log sigma where the search begi
 
 
 def fit(
-    problem: Problem,
+    problem: Inferred,
     key: int | jax.Array,
     *,
     num_samples: int = 1000,
@@ -37,6 +46,7 @@ def fit(
 
     `num_draws` simulations of every stretch of the recordings tell the discrepancy of one population.
     """
+    problem = of_study(problem, "population_search", "has no trajectories to simulate again")
     if not problem.num_psi:
         raise MethodNotApplicable("population_search: the study has no psi to search; allowed: a study with one")
     options = {"num_samples": num_samples, "num_generations": num_generations, "num_draws": num_draws}

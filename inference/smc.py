@@ -14,19 +14,26 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from det2stoc_bayes.density import Density, log_prior
+from det2stoc_bayes.density import log_prior
 from det2stoc_bayes.errors import SamplingFailed
-from det2stoc_bayes.inference._sampling import as_key, mode_of, normal_draws, numpy_random, per_chain, seed_of
-from det2stoc_bayes.map import find_map
-from det2stoc_bayes.populations import freed
+from det2stoc_bayes.inference._sampling import (
+    as_key,
+    mode_of,
+    normal_draws,
+    numpy_random,
+    per_chain,
+    posterior_of,
+    seed_of,
+)
 from det2stoc_bayes.posterior import DataTree, Progress, build, measured
-from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.vector_density import AnyDensity, Inferred
 
 LogDensity = Callable[[Float[np.ndarray, "points size"]], Float[np.ndarray, " points"]]
 NUM_CHAINS = 4  # groups of particles; so that every method's result has the same shape
 LOWEST = -1e10  # log density ratio where a simulation diverged: finite, so that 0 times it is 0
 LEAST_STEP = 1e-9  # of b: below it tempering does not advance
 DEGREES = 5  # of freedom of the Student-t about the mode
+FORGOTTEN = 2  # unknowns a last stage: a random walk forgets where it began the more slowly the more there are
 RESCALE = 2.38  # of a random walk's step: Roberts, Gelman and Gilks (1997)
 
 
@@ -48,12 +55,13 @@ def temper(
     *,
     target_ess: float = 0.7,
     num_moves: int = 10,
+    num_last: int = 1,
     max_stages: int = 200,
     progress: Progress | None = None,
 ) -> Tempered:
     """Particles that were drawn from one density, moved to another; both are functions of batches, up to constants.
 
-    Raises SamplingFailed where `max_stages` do not reach the target.
+    `num_last` stages move them under the target itself. SamplingFailed: `max_stages` do not reach it.
     """
     import blackjax
     from blackjax.smc.resampling import systematic
@@ -66,8 +74,8 @@ def temper(
     step = jax.jit(kernel, static_argnums=2)
     state = blackjax.adaptive_tempered_smc.init(jnp.asarray(particles))
     tempering, acceptance, evidence = [0.0], [], float(np.log(alive))
-    # A stage moves the particles under the b that was reached before: one more moves them under the target.
-    while len(acceptance) < len(tempering):
+    # A stage moves the particles under the b that was reached before: further ones move them under the target.
+    while len(acceptance) < len(tempering) + num_last - 1:
         key, now = jax.random.split(key)
         state, info = step(now, state, num_moves, {"root": _step_root(state.particles, state.weights)[None]})
         acceptance.append(float(info.update_info.acceptance_rate.mean()))
@@ -75,7 +83,7 @@ def temper(
             progress(len(acceptance), max_stages)
         reached = tempering[-1]
         if reached >= 1.0:
-            break
+            continue
         tempering.append(min(float(state.tempering_param), 1.0))
         evidence += float(info.log_likelihood_increment)
         if len(tempering) > max_stages or not tempering[-1] > reached + LEAST_STEP:
@@ -152,7 +160,7 @@ def _for_jax(function: LogDensity):
 
 
 def fit(
-    problem: Problem,
+    problem: Inferred,
     key: int | jax.Array,
     *,
     num_samples: int = 1000,
@@ -181,6 +189,7 @@ def fit(
             key,
             target_ess=target_ess,
             num_moves=num_moves,
+            num_last=max(density.size // FORGOTTEN, 1),
             max_stages=max_stages,
             progress=progress,
         )
@@ -204,12 +213,11 @@ def fit(
 
 
 def _beginning(
-    problem: Problem, random: np.random.Generator, count: int, initial: str
-) -> tuple[Density, LogDensity, Float[np.ndarray, "particles size"]]:
+    problem: Inferred, random: np.random.Generator, count: int, initial: str
+) -> tuple[AnyDensity, LogDensity, Float[np.ndarray, "particles size"]]:
     """The density, and the normalized initial one with its particles."""
     if initial == "prior":
-        found = find_map(problem)
-        density = Density.at(freed(found) if problem.unknowns.varying else found)
+        density = posterior_of(problem)
         return density, log_prior, random.standard_normal((count, density.size))
     mode = mode_of(problem)
     wide = stats.multivariate_t(np.zeros(mode.density.size), df=DEGREES)

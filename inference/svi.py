@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.density import Density
 from det2stoc_bayes.density_jax import jax_log_prior
 from det2stoc_bayes.errors import MethodNotApplicable
 from det2stoc_bayes.inference._refine import Refine, Weighed, build_weighed, num_proposed
@@ -27,13 +26,13 @@ from det2stoc_bayes.inference._sampling import (
     seed_of,
 )
 from det2stoc_bayes.posterior import DataTree, Progress, measured
-from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.vector_density import AnyDensity, Inferred
 
 Guide = Literal["full", "diagonal", "flow"]
 
 
 def fit(
-    problem: Problem,
+    problem: Inferred,
     key: int | jax.Array,
     *,
     num_samples: int = 1000,
@@ -109,7 +108,7 @@ def _model(log_density: Callable[[Any], Any], size: int) -> Callable[[], None]:
     return model
 
 
-def _guide(name: Guide, model: Callable[[], None], density: Density) -> Any:
+def _guide(name: Guide, model: Callable[[], None], density: AnyDensity) -> Any:
     """NumPyro's guide of this kind, a Gaussian starting as the standard one."""
     from numpyro.infer import autoguide, init_to_value
 

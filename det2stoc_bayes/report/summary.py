@@ -51,7 +51,7 @@ def summarize(fit: xr.DataTree) -> list[Row]:
     if "posterior" not in fit.children:
         return []
     times, effective = _autocorrelation_times(fit), fit.attrs.get("effective_draws")
-    return [_row(label, draws, times.get(variable), effective) for variable, label, draws in scalars(fit)]
+    return [_row(label, draws, times.get(label), effective) for _, label, draws in scalars(fit)]
 
 
 def scalars(fit: xr.DataTree) -> Iterator[tuple[str, str, Float[np.ndarray, "_ _"]]]:
