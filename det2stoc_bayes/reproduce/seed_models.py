@@ -153,6 +153,7 @@ def told(found: Iteration) -> Told:
             "sd_sd": found.sd_draws.std(0).tolist(),
         },
         "episodes": found.episode_means.tolist(),
+        "episode_sds": np.sqrt(np.einsum("eii->ei", found.episode_covariances)).tolist(),
         "divergences": found.divergences.tolist(),
     }
 
