@@ -1,7 +1,9 @@
 """Posteriors of YuMi Pusher's recorded episodes by the simulator itself, by SMC, and of the population behind them."""
 
+from collections.abc import Callable
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
@@ -10,7 +12,7 @@ from det2stoc_bayes.density import scale_of
 from det2stoc_bayes.inference._episodes import population_draws
 from det2stoc_bayes.inference.smc import DEGREES, temper
 from det2stoc_bayes.models.yumi_pusher import PRIOR
-from det2stoc_bayes.models.yumi_pusher_likelihood import EpisodeLikelihood, mode
+from det2stoc_bayes.models.yumi_pusher_likelihood import mode
 from det2stoc_bayes.reproduce.work import Work
 from det2stoc_bayes.transitions import Transitions
 
@@ -48,13 +50,17 @@ def episode_posterior(
     likelihood, summit, precision = mode(recorded, random, *(QUICKLY if num_particles <= QUICK else STARTS))
     scale = scale_of(precision)
     wide = stats.multivariate_t(np.zeros(2), df=DEGREES)
-    found = temper(
-        lambda u: np.atleast_1d(wide.logpdf(u)),
-        lambda u: log_posterior(likelihood, summit + u @ scale.T),
-        wide.rvs(num_particles, random_state=random),
-        seed,
-        num_moves=NUM_MOVES,
-    )
+    double = jax.config.jax_enable_x64
+    try:
+        found = temper(
+            lambda u: np.atleast_1d(wide.logpdf(u)),
+            lambda u: log_posterior(likelihood, summit + u @ scale.T),
+            wide.rvs(num_particles, random_state=random),
+            seed,
+            num_moves=NUM_MOVES,
+        )
+    finally:  # SMC leaves double precision on, and networks then draw other numbers
+        jax.config.update("jax_enable_x64", double)
     draws = summit + found.particles @ scale.T
     return {
         "mean": draws.mean(0).tolist(),
@@ -65,7 +71,9 @@ def episode_posterior(
     }
 
 
-def log_posterior(likelihood: EpisodeLikelihood, psi: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+def log_posterior(
+    likelihood: Callable[[np.ndarray], np.ndarray], psi: Float[np.ndarray, "points 2"]
+) -> Float[np.ndarray, " points"]:
     """Up to a constant; psi_0 ends the range."""
     inside = ((psi >= PRIOR.low) & (psi <= PRIOR.high)).all(1)
     out = np.full(len(psi), -np.inf)
