@@ -9,7 +9,7 @@ import sys
 import time
 from dataclasses import dataclass, field
 
-import mink
+import mink  # pyright: ignore[reportMissingImports]  # of the group `ik`
 import numpy as np
 from jaxtyping import Float
 
