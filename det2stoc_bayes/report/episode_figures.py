@@ -39,7 +39,7 @@ def episode_figure(seeds: Sequence[Mapping[str, Any]], exact: Sequence[Mapping[s
         bars = {"type": "data", "array": (2 * sd).tolist(), "color": colour, "thickness": 1}
         hover = f"{name}: %{{x:.4~g}} drawn, %{{y:.4~g}} inferred<extra></extra>"
         traces.append(
-            canvas.line(drawn, mean, name, colour, mode="markers", error_y=bars, marker={"size": 6},
+            canvas.line(drawn, mean, name, colour, mode="markers", error_y=bars, marker={"size": 6, "color": colour},
                         hovertemplate=hover)
         )  # fmt: skip
     end = "" if unit == "1" else f" [{unit}]"

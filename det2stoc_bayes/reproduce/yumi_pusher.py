@@ -16,8 +16,7 @@ FULL = Settings(
     num_particles=32,
 )  # fmt: skip
 QUICK = Settings(
-    1, 2, 200, 100, 1000, 1000, 1000, 6, 100, 20, 0, variants=False, baselines=(10, 50), num_calibrated=20,
-    num_particles=16,
+    1, 2, 200, 100, 1000, 1000, 1000, 6, 100, 20, 0, variants=False, baselines=(10, 50), num_particles=16,
 )  # fmt: skip
 __all__ = ["page", "run"]
 
