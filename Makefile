@@ -6,7 +6,7 @@ BIN := .venv/bin
 READY := .venv/.ready-$(shell cksum < uv.lock | cut -d ' ' -f 1)
 
 .PHONY: help env test test-long test-browser browser vendor notebooks docs lint format demo bench real stripped amortized \
-	tuning compare compare-sbi clean
+	tuning compare compare-sbi ik clean
 NAMES := pendulum_multiarm servo_xl330 ball_drops
 STUDIES ?= ../shared/studies
 BENCHMARKS := bad_input sysid_silence transitions
@@ -31,6 +31,7 @@ help:
 	@echo "make tuning  Windy Slope's models over the same grid of widths and learning rates"
 	@echo "make compare  amortized beside exact posteriors of the problems by name"
 	@echo "make compare-sbi  npe on problems of the SBI benchmark, by the benchmark's own measure"
+	@echo "make ik      one robot pushes YuMi Pusher's box by mink's inverse kinematics"
 	@echo "make clean   remove .venv and caches; results in out/ stay"
 
 env: $(READY)
@@ -97,6 +98,10 @@ compare: $(READY)
 
 compare-sbi: $(READY)
 	@$(BIN)/python benchmarks/compare_sbi.py
+
+ik: $(READY)
+	@UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --group ik --python $(BIN)/python
+	@$(BIN)/python benchmarks/yumi_ik.py
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis build dist

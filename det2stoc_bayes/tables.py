@@ -178,12 +178,14 @@ def _plain(value: Any, between: str = ", ") -> str:
 
 # --- reproduce --------------------------------------------------------
 def experiment_table(result: Mapping[str, Any]) -> RenderableType:
-    """The figures that an experiment's results give as their table."""
-    shown = result["table"]
-    made = table(shown["title"], *shown["columns"])
-    for row in shown["rows"]:
-        made.add_row(*(MISSING if cell is None else cell if isinstance(cell, str) else number(cell) for cell in row))
-    return made
+    """The figures that an experiment's results give as their table, and those of populations where it infers any."""
+    made = []
+    for shown in filter(None, (result["table"], result.get("populations"))):
+        made.append(table(shown["title"], *shown["columns"]))
+        for row in shown["rows"]:
+            cells = (MISSING if cell is None else cell if isinstance(cell, str) else number(cell) for cell in row)
+            made[-1].add_row(*cells)
+    return Group(*made)
 
 
 # --- compare ------------------------------------------------------------

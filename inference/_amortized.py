@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, PRNGKeyArray
 
 from det2stoc_bayes.inference._cvae import Cvae, HybridELBO, Schedule, normal, optimize, standard_normal
-from det2stoc_bayes.inference._episodes import Episodes, population_draws
+from det2stoc_bayes.inference._episodes import Episodes, calibrated, population_draws
 from det2stoc_bayes.inference._latent import LatentMixture
 from det2stoc_bayes.inference._networks import Decoder, Encoder, ExtendedDecoder
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
@@ -41,6 +41,7 @@ class Options:
     alpha: float = 0.8
     dropout: float = 0.2
     width: int = 64
+    num_calibrated: int = 0  # simulated episodes, held back, that tell how far episodes' posteriors are off
     few: tuple[int, int] = (3000, 32)  # fewer rows than this: a baseline of this width, the better one there
     decoder: Schedule = Schedule(num_steps=12_000, batch=1000, learning_rate=5e-3)
     encoder: Schedule = Schedule(num_steps=2_000, batch=256, learning_rate=1e-3)
@@ -195,9 +196,11 @@ def iterate(
     `varies`: which psi differ between episodes (None: all of them); of the others the population's sd is 0.
     """
     keys = jax.random.split(key, 4)
-    scaling, learned = Scaling.of(simulated), ()
+    judged = simulated.episode < options.num_calibrated
+    shown, true = simulated[~judged], believed.standard(psi)
+    scaling, learned = Scaling.of(shown), ()
     if decoder is None:
-        decoder, learned = pretrain(simulated, believed.standard(psi), scaling, keys[0], options, progress)
+        decoder, learned = pretrain(shown, true[~judged], scaling, keys[0], options, progress)
     cvae, recognized = recognize(real, decoder, scaling, keys[1], options, progress)
     x, y = scaling.standard(real)
     q = normal(*jax.vmap(cvae.encoder)(jnp.asarray(x), jnp.asarray(y)))
@@ -205,6 +208,11 @@ def iterate(
     divergences = 0.5 * (q_variance + q_mean**2 - 1 - np.log(q_variance))
     loc, sd, own = believed.loc, believed.scale, slice(len(believed.loc))
     means, covariances = Episodes.of(cvae, x, y, real.episode).posteriors()
+    if judged.any():
+        held = simulated[judged]
+        summits, _ = Episodes.of(cvae, *scaling.standard(held), held.episode).posteriors()
+        firsts = np.unique(held.episode, return_index=True)[1]
+        means, covariances = calibrated(means, summits, true[judged][firsts])
     means, covariances = means[:, own], covariances[:, own, own]
     centre, spread = population_draws(means, covariances, keys[3], NUM_DRAWS, varies)
     learned_prior = cvae.prior if isinstance(cvae.prior, LatentMixture) else None

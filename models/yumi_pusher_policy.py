@@ -58,10 +58,21 @@ class Pusher:
             out[~mine, joints] += back[~mine]
             place, turn, jacobian = arm.pose(state[mine, joints])
             wanted = _hand(state[mine], place, turn, 2 * i - 1, self._noise[mine], self._speed[mine] * (not resting))
-            weight = np.array([1, 1, 1, LENGTH, LENGTH, LENGTH])
-            out[mine, joints] += damped_least_squares(jacobian * weight[:, None], wanted * weight, back[mine], DAMPING)
+            out[mine, joints] += self.joint_speeds(i, state[mine], jacobian, wanted, back[mine])
         self._step += 1
         return np.clip(out, -FASTEST[1], FASTEST[1])
+
+    def joint_speeds(
+        self,
+        arm: int,
+        state: Float[np.ndarray, "sims 60"],
+        jacobian: Float[np.ndarray, "sims 6 7"],
+        wanted: Float[np.ndarray, "sims 6"],
+        back: Float[np.ndarray, "sims 7"],
+    ) -> Float[np.ndarray, "sims 7"]:
+        """Of an arm [rad/s] whose hand is to move as `wanted`, its joints, where that leaves them free, `back`."""
+        weight = np.array([1, 1, 1, LENGTH, LENGTH, LENGTH])
+        return damped_least_squares(jacobian * weight[:, None], wanted * weight, back, DAMPING)
 
 
 def _hand(

@@ -8,6 +8,7 @@ from scipy.stats import norm
 
 from det2stoc_bayes.report import canvas, numbers, page
 from det2stoc_bayes.report.canvas import Spec
+from det2stoc_bayes.report.episode_figures import episode_figure, population_rows
 
 METRICS = {
     "matched": "Matched Gaussian", "mixture": "Mixture of z", "one_latent": "One z", "energy": "Energy score",
@@ -45,6 +46,12 @@ def scene_page(result: Mapping[str, Any]) -> str:
         likelihood=page.embedded(likelihood_figure(main, result["oracles"], scene["oracles"])),
         blocks=_blocks(result),
         recovered=[row for j in range(len(scene["names"])) for row in _recovered(result, j)],
+        populations=population_rows(result["populations"]),
+        episodes=[
+            (name, page.embedded(episode_figure(result["seeds"], result["exact"], j, unit)))
+            for j, (name, unit) in enumerate(zip(scene["names"], scene["units"], strict=True))
+            if result["exact"]
+        ],
         alarms=[_alarm(name, found) for name, found in result["alarms"].items()],
         posterior_height=canvas.ROW * settings["num_iterations"],
         posteriors=[

@@ -11,6 +11,7 @@ import numpy as np
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.models._runs import Runs
 from det2stoc_bayes.reproduce.parts import Progress
+from det2stoc_bayes.reproduce.populations import populations_table
 from det2stoc_bayes.reproduce.scene import Scene
 from det2stoc_bayes.reproduce.scene_figures import figures
 from det2stoc_bayes.reproduce.scores import NEIGHBOURS, known_oracle, population_oracle, rollout_scores, state_oracle
@@ -28,8 +29,12 @@ def run_scene(
     seed: int,
     progress: Progress,
     alarms: Callable[[Work], dict[str, Any]] = lambda _: {},
+    exact: Callable[[Work], list[dict[str, Any]]] = lambda _: [],
 ) -> dict[str, Any]:
-    """Every model of every seed; each is kept in `out` as soon as it is done, and not done again."""
+    """Every model of every seed; each is kept in `out` as soon as it is done, and not done again.
+
+    `exact`: what the simulator itself says of each seed's recordings.
+    """
     work = Work(out, scene, settings, seed, progress)
     tested_psi = scene.reality.draw(work.random(0), settings.num_test)
     tested = work.simulate(tested_psi, "simulating the test set", 0)
@@ -39,6 +44,7 @@ def run_scene(
         seeds.append({"seed": number, "models": models})
     found = rows(seeds, scene.source)
     oracles = work.kept("oracles", lambda: _oracles(work, tested_psi, tested))
+    exactly = exact(work)
     simulators = {r["name"]: StochasticSimulator.load(work.saved(0, r["name"])) for r in found}
     return {
         "experiment": name,
@@ -47,6 +53,8 @@ def run_scene(
         "oracles": oracles,
         "alarms": work.kept("alarms", lambda: {"priors": alarms(work)})["priors"],
         "table": _table(name, scene, found, oracles, settings),
+        "populations": populations_table(scene, seeds, exactly),
+        "exact": exactly,
         "rows": found,
         "seeds": seeds,
         "scene": {

@@ -79,8 +79,9 @@ class Seed:
 
     def _turned(self, believed: Population | None, turn: int) -> Iteration:
         """One turn of the algorithm, from psi_0 where nothing is believed yet."""
-        steps = self.work.settings.decoder_steps if turn else self.work.settings.first_steps
-        return self._iterate(believed, turn, Options.decoding(steps))
+        settings = self.work.settings
+        options = Options.decoding(settings.decoder_steps if turn else settings.first_steps)
+        return self._iterate(believed, turn, replace(options, num_calibrated=settings.num_calibrated))
 
     def _iterate(self, believed: Population | None, turn: int, options: Options, decoder: Any = None) -> Iteration:
         psi, simulated = self._simulated(believed, turn) if believed else _first(self.work)
@@ -153,6 +154,7 @@ def told(found: Iteration) -> Told:
             "sd_sd": found.sd_draws.std(0).tolist(),
         },
         "episodes": found.episode_means.tolist(),
+        "episode_sds": np.sqrt(np.einsum("eii->ei", found.episode_covariances)).tolist(),
         "divergences": found.divergences.tolist(),
     }
 

@@ -2,19 +2,23 @@
 
 import json
 
+import jax
 import numpy as np
 import pytest
+from scipy import stats
 from typer.testing import CliRunner
 
 from det2stoc_bayes import cli
-from det2stoc_bayes.reproduce import yumi_pusher
+from det2stoc_bayes.reproduce import yumi_pusher, yumi_pusher_exact
 from det2stoc_bayes.reproduce.scene_figures import outlines
 from det2stoc_bayes.reproduce.scores import known_oracle, population_oracle
 from det2stoc_bayes.reproduce.seed_models import MARGINAL
-from det2stoc_bayes.reproduce.work import Settings
+from det2stoc_bayes.reproduce.work import Settings, Work
+from det2stoc_bayes.reproduce.yumi_pusher_exact import log_posterior, population
 from det2stoc_bayes.reproduce.yumi_pusher_scene import SCENE
+from det2stoc_bayes.transitions import Transitions
 
-TINY = Settings(1, 1, 20, 20, 200, 200, 200, 3, 40, 8, 0, False, (10,))
+TINY = Settings(1, 1, 20, 20, 200, 200, 200, 3, 40, 8, 0, False, (10,), num_calibrated=8, num_particles=8)
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +65,45 @@ def test_outlines_stand_on_the_table(runs):
     np.testing.assert_allclose(box.reshape(-1, 3).mean(0), recorded.states[0, -1, 42:45], atol=1e-9)
 
 
+def test_the_population_of_episodes_that_are_known(tmp_path):
+    """Their mean, and a sd about theirs: with ten of them a tenth above it."""
+    sample = np.random.default_rng(2).normal(SCENE.reality.loc, SCENE.reality.scale, (10, 2))
+    covariances = np.tile(np.diag([0.002, 0.0005]) ** 2, (10, 1, 1))
+    found = population(sample, covariances, Work(tmp_path, SCENE, TINY, 0, lambda *_: None), 0)
+    np.testing.assert_allclose(found["mean"], sample.mean(0), atol=0.15 * sample.std(0).min(), rtol=0.02)
+    assert (np.abs(found["sd"] / sample.std(0, ddof=1) / 1.1 - 1) < 0.15).all()
+
+
+def test_psi_0_ends_the_posterior():
+    def likelihood(psi):
+        return -((psi / 0.1) ** 2).sum(1)
+
+    psi = np.array([[0.2, 0.0], [0.05, 0.0], [0.2, 0.06]])
+    np.testing.assert_allclose(log_posterior(likelihood, psi), [-4.0, -np.inf, -np.inf])
+
+
+def test_particles_become_the_posterior(monkeypatch):
+    """Of a normal likelihood; what a psi outside of psi_0 would add is left out. Networks stay in single precision."""
+    centre, sd = np.array([0.28, 0.0495]), np.array([0.002, 0.0005])
+
+    class Known:
+        actions = np.zeros((30, 14))
+
+        def __call__(self, psi):
+            return -0.5 * (((psi - centre) / sd) ** 2).sum(1)
+
+    monkeypatch.setattr(yumi_pusher_exact, "mode", lambda *_: (Known(), centre, np.diag(sd**-2.0)))
+    before = jax.config.jax_enable_x64
+    recorded = Transitions(np.zeros((1, 60)), np.zeros((1, 14)), np.zeros((1, 60)), np.zeros(1, int))
+    found = yumi_pusher_exact.episode_posterior(recorded, 2000, np.random.default_rng(0), 0)
+    cut = stats.truncnorm(-np.inf, 1.0, centre[1], sd[1])
+    error = 5 / np.sqrt(2000 / 3)  # resampled particles repeat each other
+    assert abs(found["mean"][0] - centre[0]) < error * sd[0]
+    assert abs(found["mean"][1] - cut.mean()) < error * sd[1]
+    np.testing.assert_allclose(np.sqrt(np.diag(found["covariance"])), [sd[0], cut.std()], rtol=0.15)
+    assert jax.config.jax_enable_x64 == before
+
+
 @pytest.mark.long
 def test_a_small_run(tmp_path, monkeypatch):
     monkeypatch.setattr(yumi_pusher, "QUICK", TINY)
@@ -73,4 +116,10 @@ def test_a_small_run(tmp_path, monkeypatch):
     assert max(matched.values()) < result["oracles"]["population"] < result["oracles"]["known"]
     parts = result["rows"][0]["metrics"]
     assert sum(parts[name][0] for name in SCENE.blocks) == pytest.approx(matched["baseline 1000"], rel=1e-6)
-    assert 'data-source="posterior-com"' in (tmp_path / "report.html").read_text()
+    page = (tmp_path / "report.html").read_text()
+    assert 'data-source="posterior-com"' in page and 'data-source="episodes-friction"' in page
+    (exact,) = result["exact"]
+    drawn, inferred = np.array(exact["drawn"]), np.array(exact["mean"])
+    assert (np.abs(inferred - drawn) < [0.02, 0.005]).all()  # measured with so few starts: 0.01, 2.2 mm
+    assert [row[:2] for row in result["populations"]["rows"]] == [["friction", "0"], ["com", "0"]]
+    assert "exact" in answer.output
