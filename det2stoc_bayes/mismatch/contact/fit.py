@@ -34,6 +34,8 @@ class ContactFit:
     errors: Float[np.ndarray, "blocks samples columns"]
     scales: Scales
     sizes: Float[np.ndarray, " size"] | None = None  # of finite differences, found at a fit nearby
+    sharp: float = 1.0  # how sharp the likelihood's top is, of what sensitivities say
+    rough: Float[np.ndarray, "size size"] | None = None  # covariance of where the top is
 
     @property
     def problem(self) -> Problem:
@@ -92,7 +94,8 @@ class ContactFit:
     def covariance(self) -> Float[np.ndarray, "size size"]:
         """Of the unknowns: the sandwich of curvature and scatter over blocks, the prior being one more observation."""
         inverse = np.linalg.inv(self.gram)
-        return inverse @ (scatter(self.slopes, self.followed.recording) + np.eye(len(self.z))) @ inverse
+        spread = inverse @ (scatter(self.slopes, self.followed.recording) + np.eye(len(self.z))) @ inverse
+        return spread / self.sharp**2 + (0.0 if self.rough is None else self.rough)
 
     def only(self, rows: np.ndarray) -> "ContactFit":
         """The same on some recordings, under the scales of all."""

@@ -9,9 +9,10 @@ from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.judge import Verdict, judged
-from det2stoc_bayes.mismatch.contact.pair import Pair, believed
+from det2stoc_bayes.mismatch.contact.pair import Pair, believed, paired
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
+from det2stoc_bayes.mismatch.contact.top import topped
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import cut
@@ -44,6 +45,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         if one.taken is None:
             break
     progress("scoring held-out recordings", 0, 1)
+    before, base = (_topped(p, seed) for p in (before, base))
     said = judged(before, rounds, fine, seed, base)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
     composer = ContactComposer(said, when, seed)
@@ -63,6 +65,10 @@ def _believed(problem: Problem) -> tuple[Pair, bool]:
     if not np.isfinite(followed.path(np.zeros(problem.size)).columns).any():
         raise SimulationDiverged(f"{study.model_path}: the simulation diverges from every recorded start")
     return believed(followed, whole.on(held if held else fitted[:1]))
+
+
+def _topped(pair: Pair, seed: int) -> Pair:
+    return paired(topped(pair.fit, np.random.default_rng([seed, 11])), pair.held.followed)
 
 
 def _patch(said: Verdict, composer: ContactComposer) -> Patch:

@@ -1,0 +1,90 @@
+"""The top of a rough likelihood is found by a quadratic through many points, and said to be as uncertain as it is."""
+
+from functools import cached_property
+
+import numpy as np
+
+from det2stoc_bayes.mismatch.contact.fit import at
+from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.mismatch.contact.top import topped
+
+TRUTH = np.array([0.4, -0.3])
+
+
+class Rough(Followed):
+    """A linear model of 400 samples of noise 1; of a sixth a contact is made or broken within a fraction of a sd."""
+
+    size, num_psi, floor = 2, 2, np.full(2, -np.inf)
+    recording = cached_property(lambda _: np.zeros(40, int))
+    volumes = cached_property(lambda _: np.zeros(40))
+
+    def __init__(self, seed, rough):
+        random = np.random.default_rng(seed)
+        object.__setattr__(self, "problem", self)
+        object.__setattr__(self, "rough", rough)
+        object.__setattr__(self, "columns", np.column_stack([np.ones(400), random.standard_normal(400)]))
+        object.__setattr__(self, "phase", random.uniform(0, 2 * np.pi, 400))
+        object.__setattr__(self, "values", self.columns @ TRUTH + random.standard_normal(400))
+
+    def probes(self):
+        return [np.array([0]), np.array([1])]
+
+    def nudge(self, z, which, size):
+        return size
+
+    def errors(self, z):
+        foretold = z @ self.columns.T
+        jump = self.rough * np.sign(np.sin(150 * foretold + self.phase)) * (np.arange(400) % 6 == 0)
+        return (self.values - foretold - jump).reshape(len(z), 40, 10, 1)
+
+
+def smooth_top(seed):
+    model = Rough(seed, 0.0)
+    fit = at(model, TRUTH)
+    for _ in range(5):
+        fit = at(model, fit.z + np.linalg.solve(fit.gram, fit.slopes.sum(0) - fit.z))
+    return fit
+
+
+def test_where_nothing_is_rough_the_top_stays():
+    fit = smooth_top(0)
+    found = topped(fit, np.random.default_rng(1))
+    sd = np.sqrt(np.diag(fit.covariance))
+    assert (np.abs(found.z - fit.z) < 0.15 * sd).all()
+    # reweighted least squares takes a Student-t likelihood for sharper than it is: 5/7 where errors are of it, and
+    # measured 0.78 for these, which are normal
+    assert 0.65 < found.sharp < 0.9 and found.rough is not None
+    assert (np.sqrt(np.diag(found.rough)) < 0.1 * sd).all()
+
+
+def test_from_a_bump_the_top_is_reached_and_its_uncertainty_told():
+    """A bump 2 sds off: ten models, the distance from the smooth top in the sds that are told of it."""
+    apart, off = [], []
+    for seed in range(10):
+        smooth = smooth_top(seed)
+        sd = np.sqrt(np.diag(smooth.covariance))
+        found = topped(at(Rough(seed, 1.5), smooth.z + 2 * sd), np.random.default_rng(seed))
+        apart.append((found.z - smooth.z) / np.sqrt(np.diag(found.covariance)))
+        off.append((found.z - TRUTH) / np.sqrt(np.diag(found.covariance)))
+    # measured: 0.7 and 1.0 of the sds that are told
+    assert np.sqrt(np.mean(np.square(apart))) < 1.2 and np.sqrt(np.mean(np.square(off))) < 1.6
+
+
+def test_the_covariance_is_that_of_estimates():
+    """Forty models with nothing rough: distances from the truth in the sds that are told; sd of their rms: 0.08."""
+    off = []
+    for seed in range(40):
+        found = topped(smooth_top(100 + seed), np.random.default_rng(seed))
+        off.append((found.z - TRUTH) / np.sqrt(np.diag(found.covariance)))
+    assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.25
+
+
+def test_nothing_is_looked_for_without_unknowns():
+    class Fixed(Rough):
+        size, num_psi, floor = 0, 0, np.zeros(0)
+
+        def errors(self, z):
+            return np.zeros((len(z), 40, 10, 1))
+
+    fit = at(Fixed(0, 0.0), np.zeros(0))
+    assert topped(fit, np.random.default_rng(0)) is fit
