@@ -17,6 +17,10 @@ class Rough(Followed):
     size, num_psi, floor = 2, 2, np.full(2, -np.inf)
     recording = cached_property(lambda _: np.zeros(40, int))
     volumes = cached_property(lambda _: np.zeros(40))
+    rough: float
+    columns: np.ndarray
+    phase: np.ndarray
+    values: np.ndarray
 
     def __init__(self, seed, rough):
         random = np.random.default_rng(seed)
