@@ -33,7 +33,7 @@ MODELS: tuple[str, ...] = tuple(sorted(m.name for m in iter_modules(__path__) if
 def no_study(name: str) -> Det2StocError:
     """That a problem has no recordings to fit."""
     run_by = "`det2stoc compare` and" if name in POSED else "`make compare-sbi` and"
-    said = f"{name}: is a problem of vectors, which is no study: {run_by} `det2stoc calibrate` run it"
+    said = f"{name}: is a problem of vectors, which has no recordings: {run_by} `det2stoc calibrate` run it"
     return Det2StocError(f"{said}; allowed here: a study's folder, {listing(PROBLEMS)}")
 
 

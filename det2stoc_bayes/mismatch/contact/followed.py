@@ -16,7 +16,7 @@ from det2stoc_bayes.engines.base import EffectRows, Request, Start, Trajectory
 from det2stoc_bayes.engines.observer import Observer
 from det2stoc_bayes.mismatch.contact.observers import make_observer, recorded_start
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.problem import Finer, Problem, repeat_start
+from det2stoc_bayes.problem import Problem, repeat_start
 from det2stoc_bayes.recording import Recording
 from det2stoc_bayes.segments import cut
 
@@ -147,13 +147,13 @@ class Followed:
             )
         return other
 
-    def remembering(self, memory: float, z: Float[np.ndarray, " size"]) -> "Followed":
-        """The same with another memory; a finer integration's error is found anew at these unknowns."""
-        if memory == self.memory:
-            return self
-        finer, bare = self.problem.finer, replace(self.problem, finer=None)
-        other = replace(self, problem=bare, memory=memory)
-        return other if finer is None else other.shifted(z, finer.timestep, finer.integrator)
+    def remembering(self, memory: float) -> "Followed":
+        """The same with another memory."""
+        return self if memory == self.memory else replace(self, memory=memory)
+
+    def integrated(self, timestep: float | None, integrator: str | None) -> "Followed":
+        """The same under another integration."""
+        return self.with_problem(replace(self.problem, timestep=timestep, integrator=integrator))
 
     def hearing(self, heard: Bool[np.ndarray, " columns"]) -> "Followed":
         """The same by some columns alone; all of them lead the simulations."""
@@ -162,29 +162,11 @@ class Followed:
     def only(self, rows: Int[np.ndarray, " rows"]) -> "Followed":
         """Some of the recordings; unknowns of the others stay."""
         problem = self.problem
-        whole, guess, finer = problem.segments, problem.guess, problem.finer
+        whole, guess = problem.segments, problem.guess
         each = {n: getattr(whole, n)[rows] for n in ("recording", "first", "time", "values")}
         guess = replace(guess, start=guess.start[rows], prior_sd=guess.prior_sd[rows])
-        finer = None if finer is None else replace(finer, shift=finer.shift[rows])
-        return replace(self, problem=replace(problem, segments=replace(whole, **each), guess=guess, finer=finer))
+        return replace(self, problem=replace(problem, segments=replace(whole, **each), guess=guess))
 
     def on(self, recordings: Sequence[Recording]) -> "Followed":
         """The same hypothesis on other recordings."""
         return replace(self, problem=self.problem.on(cut(recordings, None, self.problem.segments.columns)))
-
-    def shifted(self, z: Float[np.ndarray, " size"], timestep: float, integrator: str) -> "Followed":
-        """The same with the believed integration's error taken off, as it is at these unknowns."""
-        bare = self.with_problem(replace(self.problem, timestep=None, integrator=None, finer=None))
-        fine = self.with_problem(replace(bare.problem, timestep=timestep, integrator=integrator))
-        shift = fine.path(z).columns - bare.path(z).columns
-        shift = np.where(np.isfinite(shift), shift, 0.0)
-        return self.with_problem(replace(bare.problem, finer=Finer(timestep, integrator, shift)))
-
-    def fine(self) -> "Followed":
-        """The same with the finer integration in full."""
-        finer = self.problem.finer
-        if finer is None:
-            return self
-        return self.with_problem(
-            replace(self.problem, timestep=finer.timestep, integrator=finer.integrator, finer=None)
-        )

@@ -17,8 +17,7 @@ from det2stoc_bayes.mismatch.evidence import log_det
 MEMORIES = (3.0, 6.0, 12.0, 25.0, 50.0, 200.0)  # samples
 SKETCH = 3  # iterations of what was screened
 FAR = 1.5  # prior sds of some psi beyond which what is missing has led it there, and a small step of it does nothing
-FINER = 0.5  # of the believed timestep: that of the integration that converges
-FINER_CERTAIN = 1.5  # standard errors by which a finer integration must tell recordings better
+FINER_CERTAIN = 2.0  # standard errors by which a finer integration must tell recordings better
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +56,11 @@ class Pair:
 
 def paired(fit: ContactFit, held: Followed) -> Pair:
     """A fit, and what it says of held-out recordings: unknowns of single recordings are fitted to each of these."""
-    finer = fit.problem.finer
-    problem = replace(held.problem, effects=fit.problem.effects, spreads=fit.problem.spreads, finer=None)
-    z = fit.problem.carry(fit.z, problem)
-    there = replace(held.with_problem(problem).remembering(fit.followed.memory, z), heard=fit.followed.heard)
-    there = there if finer is None else there.shifted(z, finer.timestep, finer.integrator)
+    mine = fit.problem
+    options = {"timestep": mine.timestep, "integrator": mine.integrator}
+    problem = replace(held.problem, effects=mine.effects, spreads=mine.spreads, **options)
+    z = mine.carry(fit.z, problem)
+    there = replace(held.with_problem(problem).remembering(fit.followed.memory), heard=fit.followed.heard)
     own = set(problem.unknowns.owned.tolist())
     if not own:
         return Pair(fit, at(there, z, fit.scales))
@@ -77,8 +76,8 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
     """
     fit = climbed(fit_followed(replace(followed, memory=MEMORIES[0]), iterations=SKETCH))
     fit = climbed(fit_followed(fit.followed.hearing(telling(fit)), fit.z))
-    step = FINER * float(fit.problem.simulator.model.opt.timestep)
-    other = fit_followed(fit.followed.shifted(fit.z, step, "RK4"), fit.z, iterations=SKETCH)
+    step = float(fit.problem.simulator.model.opt.timestep)
+    other = fit_followed(fit.followed.integrated(step, "RK4"), fit.z, iterations=SKETCH)
     finer = certainty(fit.losses - other.losses, followed.recording) >= FINER_CERTAIN
     return paired(climbed(fit_followed(other.followed, other.z)) if finer else fit, held), finer
 
@@ -88,7 +87,7 @@ def climbed(fit: ContactFit) -> ContactFit:
     for memory in MEMORIES:
         if memory <= fit.followed.memory:
             continue
-        longer = fit_followed(fit.followed.remembering(memory, fit.z), fit.z)
+        longer = fit_followed(fit.followed.remembering(memory), fit.z)
         if longer.loss > fit.loss:
             break
         fit = longer
@@ -127,11 +126,11 @@ def with_memory(pair: Pair, memory: float) -> Pair:
     fit = pair.fit
     if memory == fit.followed.memory:
         return pair
-    return paired(fit_followed(fit.followed.remembering(memory, fit.z), fit.z, iterations=SKETCH), pair.held.followed)
+    return paired(fit_followed(fit.followed.remembering(memory), fit.z, iterations=SKETCH), pair.held.followed)
 
 
 def without_last(pair: Pair, memory: float) -> ContactFit:
     """The same psi without the effect that was added last, with another memory."""
     problem = pair.fit.problem.with_effects(pair.fit.problem.effects[:-1])
     z = pair.fit.z[: -pair.placed.size]
-    return at(pair.fit.followed.with_problem(problem).remembering(memory, z), z)
+    return at(pair.fit.followed.with_problem(problem).remembering(memory), z)

@@ -10,11 +10,9 @@ from det2stoc_bayes.mismatch.contact.followed import Followed
 
 def replicated(fit: ContactFit, random: np.random.Generator) -> Followed:
     """The same starts and times, with innovations drawn anew: the model's own motion, and samples of it."""
-    finer, fine = fit.followed.problem.finer, fit.followed.fine()
-    segments = fine.problem.segments
-    made = fine.drawn(fit.z, random)
+    followed = fit.followed
+    segments = followed.problem.segments
+    made = followed.drawn(fit.z, random)
     values = np.where(segments.observed & np.isfinite(made), made, np.nan)
     values[:, 0] = segments.values[:, 0]
-    problem = replace(fit.problem, finer=None).on(replace(segments, values=values))
-    followed = replace(fine, problem=problem)
-    return followed if finer is None else followed.shifted(fit.z, finer.timestep, finer.integrator)
+    return replace(followed, problem=followed.problem.on(replace(segments, values=values)))

@@ -43,9 +43,8 @@ class Rollouts:
 
 
 def rollouts(fit: ContactFit) -> Rollouts:
-    """Of all recordings of a fit, under the integration that converges."""
-    followed = fit.followed.fine()
-    problem = followed.problem
+    """Of all recordings of a fit."""
+    followed, problem = fit.followed, fit.problem
     whole, path = problem.segments, followed.path(fit.z)
     pieces, rows, begins = [], [], []
     for s, length in enumerate(whole.lengths):
