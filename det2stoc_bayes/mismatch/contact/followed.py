@@ -34,13 +34,17 @@ class Followed:
     heard: Bool[np.ndarray, " columns"] | None = None  # columns that have a say; all where it is None
 
     @cached_property
+    def _made(self) -> tuple[Observer, Float[np.ndarray, "recordings samples columns"]]:
+        return make_observer(self.problem, self.memory)
+
+    @property
     def observer(self) -> Observer:
         """It depends on the samples and their noise alone: all hypotheses have the same."""
-        return make_observer(self.problem, self.memory)[0]
+        return self._made[0]
 
     @cached_property
     def _sd(self) -> Float[np.ndarray, "recordings samples columns"]:
-        return make_observer(self.problem, self.memory)[1] * self.problem.noise
+        return self._made[1] * self.problem.noise
 
     @cached_property
     def start(self) -> Start:
@@ -143,7 +147,7 @@ class Followed:
             other.__dict__.update(
                 (k, v)
                 for k, v in self.__dict__.items()
-                if k in ("observer", "_sd", "start", "volumes", "log_spread", "_real")
+                if k in ("_made", "_sd", "start", "volumes", "log_spread", "_real")
             )
         return other
 
