@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact.run import fit_believed, touches
 from det2stoc_bayes.mismatch.evidence import whitened
 from det2stoc_bayes.mismatch.horizon import LARGEST_ERROR, climb
 from det2stoc_bayes.mismatch.open_equivalences import open_equivalences
@@ -74,6 +76,7 @@ class Check:
     noise_inflation: float  # mean squared whitened residual of the quick fit
     alike: tuple[tuple[str, ...], ...]  # effects that these recordings could not tell apart, were they there
     absorbed: tuple[str, ...]  # effects that would pass as psi
+    contact: bool = False  # bodies touch: simulations follow the recordings, and effects are not compared
 
 
 def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
@@ -82,7 +85,15 @@ def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
     problem = make_problem(Simulator(study))
     misfit = _misfit(problem)
     progress("simulating each recording at the prior's median", 1, 1)
+    columns = problem.segments.columns
+    noise = tuple(CheckedColumn(c, float(sd), c in study.noise) for c, sd in zip(columns, problem.noise, strict=True))
+    rows = _recordings(study, misfit)
     progress("fitting psi quickly", 0, 1)
+    if touches(problem):
+        followed = fit_believed(problem)[0].fit
+        progress("fitting psi quickly", 1, 1)
+        found = _parameters(followed.problem, followed.z, followed.covariance)
+        return Check(study, found, rows, noise, followed.noise_inflation, (), (), contact=True)
     fit = climb(problem)
     if fit is None:
         raise SimulationDiverged(
@@ -91,11 +102,9 @@ def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
         )
     progress("fitting psi quickly", 1, 1)
     _warn(fit)
-    columns = problem.segments.columns
-    noise = tuple(CheckedColumn(c, float(sd), c in study.noise) for c, sd in zip(columns, problem.noise, strict=True))
     alike, absorbed = _open(fit, progress)
-    rows = _recordings(study, misfit)
-    return Check(study, _parameters(fit), rows, noise, float(fit.noise_inflation), alike, absorbed)
+    found = _parameters(fit.problem, fit.point.z, fit.covariance)
+    return Check(study, found, rows, noise, float(fit.noise_inflation), alike, absorbed)
 
 
 def _open(fit: Fit, progress: Progress) -> tuple[tuple[tuple[str, ...], ...], tuple[str, ...]]:
@@ -146,10 +155,11 @@ def _recordings(study: Study, misfit: dict[str, float]) -> tuple[CheckedRecordin
     return (*(row(r, "recording") for r in study.recordings), *(row(r, "holdout") for r in study.holdout))
 
 
-def _parameters(fit: Fit) -> tuple[CheckedParameter, ...]:
-    problem, z = fit.problem, fit.point.z
-    sd = np.sqrt(np.diag(fit.covariance))
-    correlation = fit.covariance / np.outer(sd, sd)
+def _parameters(
+    problem: Problem, z: Float[np.ndarray, " size"], covariance: Float[np.ndarray, "size size"]
+) -> tuple[CheckedParameter, ...]:
+    sd = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sd, sd)
     middle, above, below = problem.psi(np.stack([z, z + sd, z - sd]))
     out, blocks = [], problem.unknowns.blocks
     for k, block in enumerate(blocks):

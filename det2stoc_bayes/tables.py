@@ -67,6 +67,7 @@ def check_json(checked: "det2stoc_bayes.identifiability.Check") -> dict[str, Any
         "noise_inflation": checked.noise_inflation,
         "open_equivalences": checked.alike,
         "absorbed_by_psi": checked.absorbed,
+        "contact": checked.contact,
     }
 
 
@@ -99,6 +100,8 @@ def check_tables(checked: "det2stoc_bayes.identifiability.Check") -> RenderableT
 def _open(checked: "det2stoc_bayes.identifiability.Check") -> list[str]:
     """Which effects, were they missing from the model, would stay open."""
     told = []
+    if checked.contact:
+        return ["Bodies touch: simulations were led along the recordings, and effects were not compared."]
     if checked.alike:
         head = "Were one of these missing from the model, these recordings could not say which of its line:"
         told.append("\n".join([head, *(f"- {', '.join(group)}" for group in checked.alike)]))

@@ -14,6 +14,7 @@ from threading import Event
 
 import numpy as np
 import pytest
+import sliding
 import typer
 from conftest import HINGE, make_study, model_xml
 from rich.console import Console
@@ -151,6 +152,18 @@ def test_check_names_parameters_that_can_be_traded(tmp_path):
     toml += '[noise]\n"qpos/*" = 0.001\n'
     checked = check(make_study(tmp_path / "arm", model_xml(HINGE), toml, {"swing": _swing()}))
     assert {p.name: p.entangled for p in checked.parameters} == {"rotor": ("arm",), "arm": ("rotor",)}
+
+
+def test_check_of_touching_bodies_leads_simulations_and_compares_no_effects(tmp_path):
+    folder = make_study(tmp_path / "slides", sliding.XML.format(0.02), sliding.PSI, sliding.slides()).folder
+    shown = run("check", folder, "--json")
+    assert shown.exit_code == 0 and "cannot follow" not in shown.stderr
+    answer = json.loads(shown.stdout)
+    (friction,) = answer["psi"]
+    assert answer["contact"] and friction["verdict"] == "identifiable"
+    assert abs(friction["mean"] - sliding.TRUTH) < 0.005  # 0.0013 off in this draw
+    assert answer["noise_inflation"] < 1.5 and not answer["open_equivalences"]
+    assert "effects were not compared" in run("check", folder).output
 
 
 def test_fit_writes_a_file_and_a_summary(study, tmp_path):

@@ -62,6 +62,11 @@ class ContactFit:
         """-log posterior, up to a constant."""
         return float(self.losses.sum() + 0.5 * self.z @ self.z)
 
+    @property
+    def noise_inflation(self) -> float:
+        """Mean variance of innovations, in that which noise makes of them, over columns that have a say."""
+        return float(np.mean(self.scales.values[np.isfinite(self.scales.values)] ** 2))
+
     def weighed(self, columns: Float[np.ndarray, "blocks samples columns k"]) -> Float[np.ndarray, "blocks values k"]:
         """Changes of the prediction in sds of the errors, as iteratively reweighted least squares has them."""
         return (self._roots[..., None] * columns).reshape(len(columns), -1, columns.shape[-1])

@@ -31,7 +31,7 @@ def touches(problem: Problem) -> bool:
 def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactComposer, Patch]:
     """What is to be written of a study, and the corrected simulator."""
     progress("fitting the believed model", 0, 1)
-    before, fine = _believed(problem)
+    before, fine = fit_believed(problem)
     progress("fitting the believed model", 1, 1)
     # Of a lone recording nothing is held out, and nothing can be proven.
     alone = len(problem.simulator.study.recordings) == 1 and not problem.simulator.study.holdout
@@ -53,8 +53,11 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     return composer, _patch(said, composer)
 
 
-def _believed(problem: Problem) -> tuple[Pair, bool]:
-    """The believed model on fitted and held-out recordings, under an integration that converges if that matters."""
+def fit_believed(problem: Problem) -> tuple[Pair, bool]:
+    """The believed model on fitted and held-out recordings, under an integration that converges if that matters.
+
+    Without `holdout` some recordings are held out, and a lone one stands for both. Raises SimulationDiverged.
+    """
     study = problem.simulator.study
     fitted, held = study.recordings, study.holdout
     if not held and len(fitted) > 1:
