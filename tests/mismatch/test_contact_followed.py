@@ -10,7 +10,7 @@ from sliding import PSI, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
-from det2stoc_bayes.mismatch.contact.fit import STEPS, _columns, at, fit_followed, steady
+from det2stoc_bayes.mismatch.contact.fit import STEPS, _columns, _taught, at, fit_followed, steady
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
 from det2stoc_bayes.mismatch.contact.judge import judged
 from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, believed, climbed, nearer, with_memory
@@ -281,5 +281,29 @@ def test_sensitivities_are_taken_over_steps_on_which_both_sides_agree():
     np.testing.assert_allclose(columns[0, :, 0, 1], 3.0)
     waves.steps.clear()
     again, same = _columns(waves, z, waves.errors(z[None])[0], sizes)
-    assert waves.steps == [(0, sizes[0]), (1, sizes[1])] and same is sizes
+    assert waves.steps == [(0, sizes[0]), (1, sizes[1])]
+    np.testing.assert_array_equal(same, sizes)
     np.testing.assert_array_equal(again, columns)
+
+
+def test_sensitivities_that_are_known_nearby_are_not_found_anew():
+    waves, z = Waves(), np.zeros(2)
+    columns, sizes = _columns(waves, z, waves.errors(z[None])[0])
+    waves.steps.clear()
+    half = np.array([sizes[0], np.nan])  # of the last unknown nothing is known
+    again, found = _columns(waves, z, waves.errors(z[None])[0], half, columns[..., :1])
+    assert {which for which, _ in waves.steps} == {1}
+    np.testing.assert_array_equal(found, sizes)
+    np.testing.assert_array_equal(again, columns)
+
+
+def test_a_fit_that_is_taught_by_one_nearby_ends_at_the_same_place(problem, sliding):
+    """Far from it its sensitivities do not serve, and with another memory neither."""
+    followed = Followed(problem, 6.0).hearing(sliding)
+    fit = fit_followed(followed, np.full(1, 0.5))
+    taught = fit_followed(followed, fit.z + 0.1, like=fit)
+    assert abs(taught.z - fit.z)[0] < 3 * np.sqrt(fit.covariance[0, 0])
+    at_once = [_taught(at(f, z), fit) for f, z in ((followed, fit.z + 0.1), (followed, fit.z + 1.0))]
+    at_once.append(_taught(at(followed.remembering(12.0), fit.z), fit))
+    assert [f.known is not None for f in at_once] == [True, False, False]
+    assert all(np.isfinite(f.sizes).all() for f in at_once)

@@ -23,6 +23,7 @@ LARGEST_STEP = 2.0  # prior sds at once
 ITERATIONS = 10
 SETTLED = 0.1  # nats
 FARTHEST = 5.0  # prior sds of psi from its median
+NEAR = 0.3  # prior sds within which sensitivities serve for a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,8 @@ class ContactFit:
     z: Float[np.ndarray, " size"]
     errors: Float[np.ndarray, "blocks samples columns"]
     scales: Scales
-    sizes: Float[np.ndarray, " size"] | None = None  # of finite differences, found at a fit nearby
+    sizes: Float[np.ndarray, " size"] | None = None  # of finite differences, found at a fit nearby; NaN: not found yet
+    known: Float[np.ndarray, "blocks samples columns first"] | None = None  # sensitivities to the first unknowns
     sharp: float = 1.0  # how sharp the likelihood's top is, of what sensitivities say
     rough: Float[np.ndarray, "size size"] | None = None  # covariance of where the top is
 
@@ -45,7 +47,7 @@ class ContactFit:
     @cached_property
     def differences(self) -> tuple[Float[np.ndarray, "blocks samples columns size"], Float[np.ndarray, " size"]]:
         """Sensitivities of the prediction to the unknowns, in noise sds, and over which steps they were found."""
-        return _columns(self.followed, self.z, self.errors, self.sizes)
+        return _columns(self.followed, self.z, self.errors, self.sizes, self.known)
 
     @property
     def columns(self) -> Float[np.ndarray, "blocks samples columns size"]:
@@ -131,20 +133,33 @@ def fit_followed(
     held: Sequence[int] = (),
     iterations: int = ITERATIONS,
     others: Sequence[np.ndarray] = (),
+    like: ContactFit | None = None,
 ) -> ContactFit:
-    """The most likely unknowns from `z`, or from the best of it and `others`; those `held` stay."""
+    """The most likely unknowns from `z`, or from the best of it and `others`; those `held` stay.
+
+    `like` is a fit nearby, perhaps without the last unknowns, whose sensitivities are not found anew.
+    """
     z = np.zeros(followed.problem.size) if z is None else np.array(z, float)
     fit = _best(followed, np.stack([z, *others]))
+    fit = fit if like is None else _taught(fit, like)
     for _ in range(iterations):
         step = _step(fit, held)
         found = _best(followed, np.stack([_within(fit, fit.z + f * step) for f in FRACTIONS]))
-        gain = fit.loss - found.loss
-        if not gain > 0:
-            break
-        fit = replace(found, sizes=fit.differences[1])
-        if gain < SETTLED:
+        gain, sizes, taught = fit.loss - found.loss, fit.differences[1], fit.known is not None
+        fit = replace(found, sizes=sizes) if gain > 0 else replace(fit, sizes=sizes, known=None) if taught else fit
+        if gain < SETTLED and not taught:
             break
     return fit
+
+
+def _taught(fit: ContactFit, like: ContactFit) -> ContactFit:
+    """A fit with what is known of its sensitivities from another: over which steps, and close to it they themselves."""
+    count, found = len(like.z), "differences" in like.__dict__
+    steps = like.differences[1] if found or like.sizes is None else like.sizes
+    sizes = np.concatenate([steps, np.full(len(fit.z) - count, np.nan)])
+    same = fit.errors.shape == like.errors.shape and fit.followed.memory == like.followed.memory
+    near = same and np.abs(fit.z[:count] - like.z).max(initial=0.0) < NEAR
+    return replace(fit, sizes=sizes, known=like.columns if found and near else None)
 
 
 def _best(followed: Followed, z: Float[np.ndarray, "variants size"]) -> ContactFit:
@@ -154,17 +169,25 @@ def _best(followed: Followed, z: Float[np.ndarray, "variants size"]) -> ContactF
 
 
 def _columns(
-    followed: Followed, z: np.ndarray, errors: np.ndarray, sizes: np.ndarray | None
+    followed: Followed,
+    z: np.ndarray,
+    errors: np.ndarray,
+    sizes: np.ndarray | None = None,
+    known: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """By finite differences over given steps, or over those to whose sides they agree best."""
     problem = followed.problem
-    columns, probes = np.zeros((*errors.shape, problem.size)), problem.probes()
-    if sizes is not None:
-        found = _differences(followed, z, errors, probes, [float(sizes[which[0]]) for which in probes])
-        for which, (change, _) in zip(probes, found, strict=True):
-            _put(columns, which, change, followed.recording)
-        return columns, sizes
-    best, sizes = np.full(problem.size, -1.0), np.full(problem.size, STEPS[0])
+    columns = np.zeros((*errors.shape, problem.size))
+    sizes = np.full(problem.size, np.nan) if sizes is None else sizes.copy()
+    first = 0 if known is None else known.shape[-1]
+    columns[..., :first] = 0.0 if known is None else known
+    probes = [which for which in problem.probes() if which[0] >= first]
+    given = [which for which in probes if np.isfinite(sizes[which[0]])]
+    found = _differences(followed, z, errors, given, [float(sizes[which[0]]) for which in given])
+    for which, (change, _) in zip(given, found, strict=True):
+        _put(columns, which, change, followed.recording)
+    probes = [which for which in probes if not np.isfinite(sizes[which[0]])]
+    best = np.full(problem.size, -1.0)
     for size in STEPS:
         found = _differences(followed, z, errors, probes, [size] * len(probes))
         for which, (change, agreed) in zip(probes, found, strict=True):
@@ -172,8 +195,6 @@ def _columns(
                 best[which[0]], sizes[which] = agreed, size
                 _put(columns, which, change, followed.recording)
         probes = [which for which in probes if best[which[0]] < SMOOTH]
-        if not probes:
-            break
     return columns, sizes
 
 

@@ -87,7 +87,7 @@ def climbed(fit: ContactFit) -> ContactFit:
     for memory in MEMORIES:
         if memory <= fit.followed.memory:
             continue
-        longer = fit_followed(fit.followed.remembering(memory), fit.z)
+        longer = fit_followed(fit.followed.remembering(memory), fit.z, like=fit)
         if longer.loss > fit.loss:
             break
         fit = longer
@@ -101,18 +101,19 @@ def nearer(fit: ContactFit) -> ContactFit:
     return fit if (z == fit.z).all() else at(fit.followed, z)
 
 
-def sketched(base: ContactFit, promise: Promise) -> ContactFit:
+def sketched(base: ContactFit, promise: Promise, iterations: int = SKETCH) -> ContactFit:
     """The hypothesis with a screened addition after a few steps."""
     more = base.problem.with_effects((*base.problem.effects, promise.placed))
     new = np.clip(np.nan_to_num(promise.placed.effect.to_normal(promise.values, promise.placed.typical)), -4.0, 4.0)
     ways = [np.concatenate([base.z + a * promise.change, b * new]) for a, b in ((1.0, 1.0), (0.0, 1.0), (0.3, 0.3))]
     first, *others = (np.maximum(way, more.floor) for way in ways)
-    return fit_followed(base.followed.with_problem(more), first, others=others, iterations=SKETCH)
+    return fit_followed(base.followed.with_problem(more), first, others=others, iterations=iterations, like=base)
 
 
 def finished(sketch: ContactFit, base: ContactFit) -> ContactFit:
     """What was sketched on some of a base's recordings, fitted to all of them."""
-    return fit_followed(base.followed.with_problem(base.problem.with_effects(sketch.problem.effects)), sketch.z)
+    problem = base.problem.with_effects(sketch.problem.effects)
+    return fit_followed(base.followed.with_problem(problem), sketch.z, like=sketch)
 
 
 def remembered(pair: Pair) -> Pair:
@@ -126,7 +127,8 @@ def with_memory(pair: Pair, memory: float) -> Pair:
     fit = pair.fit
     if memory == fit.followed.memory:
         return pair
-    return paired(fit_followed(fit.followed.remembering(memory), fit.z, iterations=SKETCH), pair.held.followed)
+    again = fit_followed(fit.followed.remembering(memory), fit.z, iterations=SKETCH, like=fit)
+    return paired(again, pair.held.followed)
 
 
 def without_last(pair: Pair, memory: float) -> ContactFit:

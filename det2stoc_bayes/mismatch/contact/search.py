@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.pair import Pair, finished, nearer, paired, remembered, sketched, without_last
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
@@ -19,6 +19,7 @@ from det2stoc_bayes.mismatch.shortlist import shortlist
 NUM_SKETCHED = 10  # the most promising candidates, of which some steps are made,
 NUM_REFINED = 5  # and the best of them, which are fitted to the end
 ALSO = 0.3  # of what an effect's best trial promises: what another of them must
+BEGUN, DRAWN = 0.2, 0.4  # of the best's gain: who has less after a first step, or a sketch, goes no further
 LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less is not fitted
 MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
 NEAR, LEAST_NEAR = 0.05, 30.0  # share of the best's gain, and nats, behind which none comes near any more
@@ -86,24 +87,42 @@ def _screened(fit: ContactFit, pool: Sequence[PlacedEffect], progress: Progress)
 
 
 def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progress: Progress) -> list[Pair]:
-    """Those that promise most, sketched, and of these the best, fitted; the first from each of its sketches."""
+    """Those that promise most, sketched, and of these the best, fitted; the first from each of its sketches.
+
+    Who falls far behind on some of the recordings is left there, after a first step or a sketch.
+    """
     worth = shortlist(screened, NUM_SKETCHED)
     worth += [o for s in worth[:3] for o in s.others if o.gain > ALSO * s.gain]
-    sketches: list[ContactFit] = []
     few = some(ground)
-    for k, promise in enumerate(worth):
-        progress("refining the best", k, len(worth) + NUM_REFINED)
-        sketches.append(sketched(few, promise))
+    bare = at(few.followed, few.z).loss
+
+    def ahead(fits: list[ContactFit], part: float) -> list[ContactFit]:
+        best = max((bare - f.loss for f in fits), default=0.0)
+        return [f for f in fits if bare - f.loss >= part * best]
+
+    tell = partial(_in_turn, progress=progress, total=2 * len(worth) + NUM_REFINED)
+    begun = ahead(tell(lambda p: sketched(few, p, iterations=1), worth, 0), BEGUN)
+    sketches = ahead(
+        tell(lambda f: fit_followed(f.followed, f.z, iterations=SKETCH - 1, like=f), begun, len(worth)), DRAWN
+    )
     sketches.sort(key=lambda f: f.loss)
     best = {s.problem.effects[-1]: s for s in reversed(sketches)}
     chosen = sorted(best.values(), key=lambda f: f.loss)[:NUM_REFINED]
     chosen += [s for s in sketches if s.problem.effects == chosen[0].problem.effects and s is not chosen[0]]
-    pairs: list[Pair] = []
-    for k, sketch in enumerate(chosen):
-        progress("refining the best", len(worth) + k, len(worth) + len(chosen))
-        pairs.append(paired(finished(sketch, ground), base.held.followed))
+    pairs = tell(lambda f: paired(finished(f, ground), base.held.followed), chosen, 2 * len(worth))
     progress("refining the best", 1, 1)
     return best_of_each(pairs)
+
+
+def _in_turn[T, S](
+    make: Callable[[T], S], items: Sequence[T], begun: int, *, progress: Progress, total: int
+) -> list[S]:
+    """What is made of each, the progress of it told."""
+    out = []
+    for k, item in enumerate(items):
+        progress("refining the best", begun + k, total)
+        out.append(make(item))
+    return out
 
 
 def near_remembered(base: Pair, found: Sequence[Pair], progress: Progress) -> list[Pair]:
