@@ -130,7 +130,9 @@ def table(states: np.ndarray, actions: np.ndarray) -> bytes:
     for row, rotation in zip(turn, states[:, 45:54], strict=True):
         mujoco.mju_mat2Quat(row, rotation)
     time = PERIOD * np.arange(len(states))[:, None]
-    values = np.concatenate([time, states[:, 42:45], turn, states[:, :14], states[:, 54:], states[:, 14:28], actions], 1)
+    values = np.concatenate(
+        [time, states[:, 42:45], turn, states[:, :14], states[:, 54:], states[:, 14:28], actions], 1
+    )
     head = ",".join(("time", *COLUMNS, *(f"ctrl/{j}" for j in yumi.JOINTS)))
     return "\n".join([head, *(",".join(f"{v:.9g}" for v in row) for row in values)]).encode() + b"\n"
 
@@ -138,7 +140,9 @@ def table(states: np.ndarray, actions: np.ndarray) -> bytes:
 def write_study(folder: Path, law: Law | None, seed: int) -> Path:
     """A study's files, and nothing of what it conceals."""
     states, actions = recorded(law, np.random.default_rng([seed, 41]))
-    stems = [f"recordings/push_{k:02d}" for k in range(FITTED)] + [f"holdout/push_{FITTED + k:02d}" for k in range(HELD)]
+    stems = [f"recordings/push_{k:02d}" for k in range(FITTED)] + [
+        f"holdout/push_{FITTED + k:02d}" for k in range(HELD)
+    ]
     files = {"model.xml": yumi.MODEL.read_bytes(), "study.toml": STUDY.encode()}
     files |= {f"{stem}.csv": table(s, a) for stem, s, a in zip(stems, states, actions, strict=True)}
     return write_all(folder, files)

@@ -306,4 +306,4 @@ def test_a_fit_that_is_taught_by_one_nearby_ends_at_the_same_place(problem, slid
     at_once = [_taught(at(f, z), fit) for f, z in ((followed, fit.z + 0.1), (followed, fit.z + 1.0))]
     at_once.append(_taught(at(followed.remembering(12.0), fit.z), fit))
     assert [f.known is not None for f in at_once] == [True, False, False]
-    assert all(np.isfinite(f.sizes).all() for f in at_once)
+    assert all(f.sizes is not None and np.isfinite(f.sizes).all() for f in at_once)

@@ -104,6 +104,12 @@ class ContactFit:
         spread = inverse @ (scatter(self.slopes, self.followed.recording) + np.eye(len(self.z))) @ inverse
         return spread / self.sharp**2 + (0.0 if self.rough is None else self.rough)
 
+    @cached_property
+    def as_believed(self) -> "ContactFit":
+        """The same unknowns under the believed integration."""
+        plain = self.followed.integrated(None, None)
+        return self if self.problem.integrator is None else at(plain, self.z, self.scales)
+
     def only(self, rows: np.ndarray) -> "ContactFit":
         """The same on some recordings, under the scales of all."""
         blocks = np.isin(np.repeat(np.arange(self.problem.segments.count), self.followed.blocks), rows)

@@ -8,7 +8,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
-from det2stoc_bayes.mismatch.contact.pair import Pair, finished, nearer, paired, remembered, sketched, without_last
+from det2stoc_bayes.mismatch.contact.pair import (
+    SKETCH,
+    Pair,
+    finished,
+    nearer,
+    paired,
+    remembered,
+    sketched,
+    without_last,
+)
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise, screen, some
