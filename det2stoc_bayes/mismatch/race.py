@@ -9,6 +9,7 @@ from jaxtyping import Float
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence
+from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.mismatch.pairs import pairs, varied
 from det2stoc_bayes.mismatch.screen import Screened, screen
 from det2stoc_bayes.mismatch.shortlist import shortlist
@@ -22,6 +23,7 @@ RACE = (10.0, 0.3, 50.0)  # how far behind the best sketch a candidate may be: n
 NUM_LEADERS, MOST_ITERATIONS = 2, 15  # that go on to their optimum while a misfit remains
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
 FURTHER, SOON = 5, 2  # iterations of those in the race, and of who went astray beside an explanation far ahead
+KEPT = 0.5  # of the screened evidence of what promises most: a fit that earns less is looked at again
 AT_WALL = 1e-6  # prior sds from where a positive parameter is absent
 SETTLED = 0.3  # nats that a further iteration may gain
 Progress = Callable[[str, int, int], None]  # stage, done, total
@@ -93,8 +95,26 @@ def _refined(
     progress("refining the best", len(new), len(new))
     fits |= {f.problem.effects[-1]: f for f in found}
     share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
+    lead = next((s for s in worth if s.placed in fits), None)
+    if lead is not None and not any(by_chance(f) for f in fits.values()):
+        fits[lead.placed] = _led_on(base, fits[lead.placed], lead, share)
     ranked = [Ranked(placed, f, gain(base, f, share)) for placed, f in fits.items()]
     return Slot(base, tuple(screened), tuple(sorted(ranked, key=lambda r: -r.gain)))
+
+
+def _led_on(base: Fit, fit: Fit, lead: Screened, share: float) -> Fit:
+    """A fit that keeps little of what promised most may be at a false optimum, which short stretches do not have.
+
+    psi, which may have gone astray with it, starts where it was.
+    """
+    if fit.noise_inflation < MODEL_ERROR or gain(base, fit, share) > KEPT * lead.log_evidence:
+        return fit
+    z = np.concatenate([base.point.z, fit.point.z[len(base.point.z) :]])
+    other, first = climb(fit.problem, z), len(base.problem.effects)
+    if other is None or other.problem.segments.key != base.problem.segments.key:
+        return fit
+    (other,) = settled([other], share, first)
+    return other if allowed(other, first) and log_evidence(other, share) > log_evidence(fit, share) else fit
 
 
 def _starts(s: Screened) -> list[Screened]:

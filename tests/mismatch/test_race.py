@@ -13,6 +13,7 @@ from det2stoc_bayes.mismatch import race as module
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import by_chance
 from det2stoc_bayes.mismatch.race import look
+from det2stoc_bayes.mismatch.screen import Screened
 
 NOISE = [0.002, 0.002, 0.02, 0.02]
 STARTS = [([0.6, 0.4], [0.0, 0.0]), ([-0.4, 0.9], [1.0, -1.0]), ([1.2, -0.5], [-2.0, 2.0])]
@@ -88,3 +89,25 @@ def test_beside_what_stands_far_ahead_who_went_astray_is_given_little_time(tmp_p
         asked.clear()
         module.race(base, points, present=standing)
         assert asked == [module.FURTHER, iterations]
+
+
+def test_a_fit_that_keeps_little_of_what_was_promised_is_led_on_by_short_stretches(tmp_path):
+    """One at a false optimum is played by one that has taken no step; what keeps its promise stays as it is."""
+
+    def push(model, data):
+        data.qfrc_applied[0] = 2.0 * np.sin(30 * data.qpos[0] + 0.5)
+
+    base = fit(spring_problem(tmp_path, push=push, noise=1e-3))
+    ripple = place(base.problem, "cogging_torque", "slide", Typical(force=5.0, speed=1.0, span=0.6, inertia=1.2))
+    near = ripple.effect.to_normal({"amplitude": 1.0, "cycles": 29.0, "phase": 0.6}, ripple.typical)
+    problem = base.problem.with_effects([ripple])
+    stuck = fit(problem, [*base.point.z, *near], max_iterations=0)
+    assert stuck.noise_inflation > 20
+    promise = Screened(
+        ripple, ripple.effect.trials(ripple.typical)[0], 1e4, 0.0, np.zeros(2), np.zeros(base.problem.size)
+    )
+    led = module._led_on(base, stuck, promise, 1.0)
+    assert by_chance(led) and led.problem.segments.key == base.problem.segments.key
+    kept = module.gain(base, stuck, 1.0) / module.KEPT
+    assert module._led_on(base, stuck, replace(promise, log_evidence=kept - 1.0), 1.0) is stuck
+    assert module._led_on(base, led, promise, 1.0) is led
