@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.linearization import Point
+from det2stoc_bayes.linearization import Point, start_point
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence
 from det2stoc_bayes.mismatch.horizon import climb
@@ -111,7 +111,10 @@ def _led_on(base: Fit, fit: Fit, lead: Screened, share: float) -> Fit:
         return fit
     z = np.concatenate([base.point.z, fit.point.z[len(base.point.z) :]])
     other, first = climb(fit.problem, z), len(base.problem.effects)
-    if other is None or other.problem.segments.key != base.problem.segments.key:
+    if other is not None and other.problem.segments.key != fit.problem.segments.key:
+        point = start_point(fit.problem, other.point.z, fit.linear)
+        other = fit_many([(fit.problem, point)], tolerance=tolerance(fit))[0]
+    if other is None:
         return fit
     (other,) = settled([other], share, first)
     return other if allowed(other, first) and log_evidence(other, share) > log_evidence(fit, share) else fit
