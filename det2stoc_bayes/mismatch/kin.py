@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.linearization import Point
-from det2stoc_bayes.mismatch.changes import Changes
+from det2stoc_bayes.mismatch.changes import changes
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import by_chance, effective_share, log_evidence
 from det2stoc_bayes.mismatch.put_back import put_back
 from det2stoc_bayes.mismatch.race import Ranked, Slot, added, allowed, gain, tolerance
-from det2stoc_bayes.mismatch.screen import Beside, Screened, one_sided, sharpened
+from det2stoc_bayes.mismatch.screen import Beside, Screened, one_sided
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Problem
 
@@ -26,7 +26,6 @@ RELATED = 0.7  # and beside other effects: without this one they may be anywhere
 MOST = 4  # rivals that start anew
 SOON, NEAR = 2, 4.0  # iterations, and the noise inflation that must be reached by then
 MOST_SIMPLER = 12  # that are looked at
-HALF = 0.5  # of an effect's gain: what takes up so much may take up all of it from another point
 
 
 def with_kin(slot: Slot, own: Ranked) -> Slot:
@@ -71,23 +70,15 @@ def _simpler(
     worth = [placed for placed in worth if placed not in enough]
     if not worth:
         return []
-    bare, by_trial = put_back(own.fit), Changes(own.fit)
-    beside, tried = Beside(bare), {}
-    for placed, trial, columns in by_trial.every(worth):
-        if (found := beside.judge(placed, trial, columns)) is not None:
-            tried.setdefault(placed, []).append(found)
-    whole = beside.gain(own.fit)
-    # Trials of what acts from a point are a coarse ring of points; here, where psi is right, the point can be told.
-    best = [_closest(found, HALF * whole, beside, by_trial) for found in tried.values()]
-    least = (KIN if by_chance(own.fit) else AKIN) * whole
-    near = sorted((s for s in best if s.gain > least), key=lambda s: -s.gain)
+    bare = put_back(own.fit)
+    beside, best = Beside(bare), {}
+    for placed, trial, columns in changes(own.fit, worth, lambda n: None):
+        found = beside.judge(placed, trial, columns)
+        if found is not None and (placed not in best or found.gain > best[placed].gain):
+            best[placed] = found
+    least = (KIN if by_chance(own.fit) else AKIN) * beside.gain(own.fit)
+    near = sorted((s for s in best.values() if s.gain > least), key=lambda s: -s.gain)
     return [(s.placed, added(bare, s.change, [(s, s.coefficients)])) for s in near]
-
-
-def _closest(found: list[Screened], least: float, beside: Beside, by_trial: Changes) -> Screened:
-    """An effect's trial that gains most, or one about it where that gains at `least` so much."""
-    best = max(found, key=lambda s: s.gain)
-    return max(sharpened([best], beside, by_trial), key=lambda s: s.gain) if best.gain > least else best
 
 
 def truer_pair(slot: Slot, own: Ranked, needed: float) -> Fit | None:

@@ -58,11 +58,11 @@ def screen(
             trials[placed] = _kept([*trials.get(placed, ()), found])
             _forget(trials)
     for placed in sorted(trials, key=lambda placed: -trials[placed][0].log_evidence)[:NUM_SHARPENED]:
-        trials[placed] = sharpened(trials[placed], beside, by_trial)
+        trials[placed] = _sharpened(trials[placed], beside, by_trial)
     return sorted((replace(t[0], others=tuple(t[1:])) for t in trials.values()), key=lambda s: -s.log_evidence)
 
 
-def sharpened(trials: list[Screened], beside: "Beside", by_trial: Changes) -> list[Screened]:
+def _sharpened(trials: list[Screened], beside: "Beside", by_trial: Changes) -> list[Screened]:
     """An effect's trials and those about the best, closer and closer (a pattern search)."""
     for reach in REACHES:
         for _ in range(MOST_STEPS):
