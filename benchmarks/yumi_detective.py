@@ -1,4 +1,4 @@
-"""YuMi Pusher with physics that its model lacks: dry friction of an arm's joint, or a slippery part of the table.
+"""YuMi Pusher with physics that its model lacks: dry friction of an arm's joint, a rougher part of the table, a mass.
 
 Reality is the same scene at a quarter of the timestep, with a law of its own and measurement noise; the policy pushes
 as it always does. The study is diagnosed by a process that sees nothing else. Results go to

@@ -1,7 +1,7 @@
 """What a study's recordings can and cannot identify, from one quick fit."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -90,8 +90,9 @@ def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
     rows = _recordings(study, misfit)
     progress("fitting psi quickly", 0, 1)
     if touches(problem):
-        followed = fit_believed(problem)[0].fit
+        followed = fit_believed(problem, hold_out=False)[0].fit
         progress("fitting psi quickly", 1, 1)
+        _warn_led(columns, followed.scales.values)
         found = _parameters(followed.problem, followed.z, followed.covariance)
         return Check(study, found, rows, noise, followed.noise_inflation, (), (), contact=True)
     fit = climb(problem)
@@ -133,6 +134,14 @@ def _warn(fit: Fit) -> None:
             far = f"misses {segments.columns[j]} by {rms[j] / noise[j]:.3g} noise sds, {of}"
             message = f"{recording.name}: the model cannot follow it: fitted, it {far} (units? signs? names?)"
             warnings.warn(message, StudyWarning, stacklevel=3)
+
+
+def _warn_led(columns: Sequence[str], scales: Float[np.ndarray, " columns"]) -> None:
+    """Columns that are foretold badly though simulations are led along the recordings."""
+    for column, scale in zip(columns, scales, strict=True):
+        if np.isfinite(scale) and scale > FAR:
+            far = f"though led along the recordings, the model foretells it {scale:.3g} noise sds off"
+            warnings.warn(f"{column}: {far} (units? signs? names?)", StudyWarning, stacklevel=3)
 
 
 def _misfit(problem: Problem) -> dict[str, float]:

@@ -96,7 +96,7 @@ def _refined(
     fits |= {f.problem.effects[-1]: f for f in found}
     share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
     lead = next((s for s in worth if s.placed in fits), None)
-    if lead is not None and not any(by_chance(f) for f in fits.values()):
+    if lead in new and not any(by_chance(f) for f in fits.values()):
         fits[lead.placed] = _led_on(base, fits[lead.placed], lead, share)
     ranked = [Ranked(placed, f, gain(base, f, share)) for placed, f in fits.items()]
     return Slot(base, tuple(screened), tuple(sorted(ranked, key=lambda r: -r.gain)))

@@ -161,6 +161,20 @@ def test_a_gain_that_few_blocks_have_must_be_far_beyond_chance(followed, problem
     assert not search.earns(base, more, 11.0, lambda: 0.0)  # nothing of it is held out
 
 
+def test_who_gains_little_beside_the_best_goes_no_further(fit):
+    """Where nothing gains the best stays all the same."""
+
+    def kept(*gains):
+        fits = [replace(fit) for _ in gains]
+        for one, gain in zip(fits, gains, strict=True):
+            one.__dict__["losses"] = fit.losses - gain / len(fit.losses)
+        return [gain for one, gain in zip(fits, gains, strict=True) if one in search.in_reach(fits, fit.loss, 0.2)]
+
+    assert kept(50.0, 11.0, 9.0, -3.0) == [50.0, 11.0]
+    assert kept(-10.0, -11.5, -30.0) == [-10.0, -11.5]
+    assert kept() == []
+
+
 def test_chance_gains_little_where_nothing_is_missing(followed, problem, pool):
     base = pair_of(followed, [z_of(problem, TRUTH)])
     few = [c for c in pool if c.effect.name in ("linear_drag", "gravity_error", "friction_error")]

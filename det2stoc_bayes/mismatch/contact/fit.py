@@ -66,12 +66,13 @@ class ContactFit:
 
     @property
     def noise_inflation(self) -> float:
-        """Mean variance of innovations, in that which noise makes of them, over columns that have a say."""
+        """Mean square of the scales of columns that have a say: 1 at least, and outliers count little in it."""
         return float(np.mean(self.scales.values[np.isfinite(self.scales.values)] ** 2))
 
     def weighed(self, columns: Float[np.ndarray, "blocks samples columns k"]) -> Float[np.ndarray, "blocks values k"]:
         """Changes of the prediction in sds of the errors, as iteratively reweighted least squares has them."""
-        return (self._roots[..., None] * columns).reshape(len(columns), -1, columns.shape[-1])
+        blocks, samples, places, count = columns.shape
+        return (self._roots[..., None] * columns).reshape(blocks, samples * places, count)
 
     @cached_property
     def _roots(self) -> Float[np.ndarray, "blocks samples columns"]:
@@ -163,7 +164,7 @@ def _taught(fit: ContactFit, like: ContactFit) -> ContactFit:
     count, found = len(like.z), "differences" in like.__dict__
     steps = like.differences[1] if found or like.sizes is None else like.sizes
     sizes = np.concatenate([steps, np.full(len(fit.z) - count, np.nan)])
-    same = fit.errors.shape == like.errors.shape and fit.followed.memory == like.followed.memory
+    same = fit.errors.shape == like.errors.shape and fit.followed.leads_as(like.followed)
     near = same and np.abs(fit.z[:count] - like.z).max(initial=0.0) < NEAR
     return replace(fit, sizes=sizes, known=like.columns if found and near else None)
 

@@ -140,6 +140,12 @@ class Followed:
     def _real(self) -> Bool[np.ndarray, "recordings samples"]:
         return np.diff(self.problem.segments.time, axis=1, prepend=-np.inf) > 0  # and no padding
 
+    def leads_as(self, other: "Followed") -> bool:
+        """Whether simulations are led and heard alike, so that sensitivities are the same."""
+        mine, its = self.problem, other.problem
+        alike = (mine.segments.key, mine.timestep, mine.integrator) == (its.segments.key, its.timestep, its.integrator)
+        return alike and self.memory == other.memory and self.heard is other.heard
+
     def with_problem(self, problem: Problem) -> "Followed":
         """The same recordings under another hypothesis."""
         other = replace(self, problem=problem)

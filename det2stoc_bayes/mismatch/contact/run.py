@@ -53,20 +53,24 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     return composer, _patch(said, composer)
 
 
-def fit_believed(problem: Problem) -> tuple[Pair, bool]:
+def fit_believed(problem: Problem, *, hold_out: bool = True) -> tuple[Pair, bool]:
     """The believed model on fitted and held-out recordings, under an integration that converges if that matters.
 
-    Without `holdout` some recordings are held out, and a lone one stands for both. Raises SimulationDiverged.
+    Without `holdout` some recordings are held out, if that is wanted; a lone one stands for both. Raises
+    SimulationDiverged.
     """
     study = problem.simulator.study
     fitted, held = study.recordings, study.holdout
-    if not held and len(fitted) > 1:
+    if hold_out and not held and len(fitted) > 1:
         held = fitted[EVERY - 1 :: EVERY] or fitted[-1:]
         fitted = tuple(r for r in fitted if r not in held)
     whole = Followed(problem)
     followed = whole.on(fitted)
     if not np.isfinite(followed.path(np.zeros(problem.size)).columns).any():
-        raise SimulationDiverged(f"{study.model_path}: the simulation diverges from every recorded start")
+        raise SimulationDiverged(
+            f"{study.model_path}: the simulation diverges from every recorded start; allowed: one that stays "
+            "finite (check units, the timestep and the recordings' first samples)"
+        )
     return believed(followed, whole.on(held if held else fitted[:1]))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, steady
+from det2stoc_bayes.mismatch.contact.followed import FARTHEST
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
 
 SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
@@ -104,7 +105,9 @@ def _changes(
     values = [_enlarged(placed, column, size) for trial, size in sized for column in trial.columns]
     plain = fit.as_believed
     with np.errstate(all="ignore"):
-        moved = np.nan_to_num(plain.errors - plain.followed.errors_with(fit.z, placed, values))
+        errors = plain.followed.errors_with(fit.z, placed, values)
+        stays = np.maximum(np.abs(plain.errors), np.abs(errors)) < FARTHEST  # a simulation that diverges tells nothing
+        moved = np.where(stays, plain.errors - errors, 0.0)
     ends = np.cumsum([len(trial.columns) for trial, _ in sized])
     return [np.moveaxis(part, 0, -1) for part in np.split(moved, ends[:-1])]
 

@@ -104,16 +104,10 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progres
     worth += [o for s in worth[:3] for o in s.others if o.gain > ALSO * s.gain]
     few = some(ground)
     bare = at(few.followed, few.z).loss
-
-    def ahead(fits: list[ContactFit], part: float) -> list[ContactFit]:
-        best = max((bare - f.loss for f in fits), default=0.0)
-        return [f for f in fits if bare - f.loss >= part * best]
-
     tell = partial(_in_turn, progress=progress, total=2 * len(worth) + NUM_REFINED)
-    begun = ahead(tell(lambda p: sketched(few, p, iterations=1), worth, 0), BEGUN)
-    sketches = ahead(
-        tell(lambda f: fit_followed(f.followed, f.z, iterations=SKETCH - 1, like=f), begun, len(worth)), DRAWN
-    )
+    begun = in_reach(tell(lambda p: sketched(few, p, iterations=1), worth, 0), bare, BEGUN)
+    sketches = tell(lambda f: fit_followed(f.followed, f.z, iterations=SKETCH - 1, like=f), begun, len(worth))
+    sketches = in_reach(sketches, bare, DRAWN)
     sketches.sort(key=lambda f: f.loss)
     best = {s.problem.effects[-1]: s for s in reversed(sketches)}
     chosen = sorted(best.values(), key=lambda f: f.loss)[:NUM_REFINED]
@@ -121,6 +115,12 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progres
     pairs = tell(lambda f: paired(finished(f, ground), base.held.followed), chosen, 2 * len(worth))
     progress("refining the best", 1, 1)
     return best_of_each(pairs)
+
+
+def in_reach(fits: Sequence[ContactFit], bare: float, part: float) -> list[ContactFit]:
+    """Those that gain such a part of the best's gain over what is `bare`; where nothing gains, those near the best."""
+    best = max((bare - f.loss for f in fits), default=0.0)
+    return [f for f in fits if bare - f.loss >= best - (1 - part) * abs(best)]
 
 
 def _in_turn[T, S](
