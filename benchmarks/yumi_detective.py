@@ -9,6 +9,7 @@ import argparse
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -58,13 +59,13 @@ def _nothing(data: mujoco.MjData) -> None:
     pass
 
 
-def dry_joint(joint: str, force: float) -> Law:
-    """Dry friction of a joint [N m]."""
+def listed(name: str, element: str, **parameters: Any) -> Law:
+    """A law of the concealing side that is written into the model."""
 
     def prepare(model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
-        law = LAWS["coulomb_friction"].prepare
+        law = LAWS[name].prepare
         assert law is not None
-        law(model, joint, {"force": force})
+        law(model, element, parameters)
         return _nothing
 
     return prepare
@@ -80,18 +81,6 @@ def rough_table(ratio: float, x: float) -> Law:
             model.pair_friction[:, :2] = usual * (ratio if data.qpos[0] > x else 1.0)
 
         return rub
-
-    return prepare
-
-
-def added_mass(mass: float, offset: tuple[float, float, float]) -> Law:
-    """A point mass [kg] in the box [m]."""
-
-    def prepare(model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
-        law = LAWS["payload_mass"].prepare
-        assert law is not None
-        law(model, "box", {"mass": mass, "offset": list(offset)})
-        return _nothing
 
     return prepare
 
@@ -149,9 +138,9 @@ def write_study(folder: Path, law: Law | None, seed: int) -> Path:
 
 
 CASES: dict[str, tuple[Law | None, str, str]] = {
-    "joint": (dry_joint("yumi_joint_2_l", 0.5), "coulomb_friction", "yumi_joint_2_l"),
+    "joint": (listed("coulomb_friction", "yumi_joint_2_l", force=0.5), "coulomb_friction", "yumi_joint_2_l"),
     "table": (rough_table(PATCH, 0.53), "friction_patch", "block/table"),
-    "payload": (added_mass(0.15, (0.0, 0.05, 0.05)), "payload_mass", "box"),
+    "payload": (listed("payload_mass", "box", mass=0.15, offset=[0.0, 0.05, 0.05]), "payload_mass", "box"),
     "nothing": (None, "", ""),
 }
 
@@ -163,6 +152,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only-write", type=Path, help="make the studies in this folder and stop")
     options = parser.parse_args()
+    if unknown := [name for name in options.cases if name not in CASES]:
+        parser.error(f"no such case: {', '.join(unknown)}; allowed: {', '.join(CASES)}")
     missed = 0
     for name in options.cases:
         law, effect, element = CASES[name]

@@ -161,7 +161,7 @@ def test_check_of_touching_bodies_leads_simulations_and_compares_no_effects(tmp_
     answer = json.loads(shown.stdout)
     (friction,) = answer["psi"]
     assert answer["contact"] and friction["verdict"] == "identifiable"
-    assert abs(friction["mean"] - sliding.TRUTH) < 0.005  # 0.0013 off in this draw
+    assert abs(friction["mean"] - sliding.TRUTH) < 0.005  # 2e-6 off in this draw, sd 0.0008
     assert 1.0 <= answer["noise_inflation"] < 1.5
     assert "effects were not compared" in run("check", folder).output
 
