@@ -6,20 +6,20 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.linearization import Linearization, Point, linearize, linearize_beside, simulate, tangent
-from det2stoc_bayes.problem import FARTHEST, Problem
+from det2stoc_bayes.newton import Step, newton_step, noise_scale, within_chance
+from det2stoc_bayes.problem import Problem
 
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
 STARTS = (1.0, 0.3, 0.05, 0.0)  # of the change of initial states that goes with it
 SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
 SERVES = 0.2  # of the gain that a fraction of a step promises: with so much the search ends
+DAMPING = (0.01, 0.1, 1.0)  # of the diagonal of the normal equations, in curved valleys
 NUM_CHORDS = 4  # steps with the same sensitivities
 CONTRACTION = 0.3  # of the last step's gain: a step that promises more needs new sensitivities
 NUM_RESPREADS = 8  # rounds in which the spreads of psi by recording settle
-LARGEST_STEP = 10.0  # prior sds of an effect in one iteration
 
 # A search that stalled promised more than it gave, as about a kink; an unfinished one would have gone on.
 End = Literal["converged", "stalled", "unfinished"]
@@ -104,7 +104,7 @@ def _fit_held(
         linear |= moved | _again({i: lin for i, lin in moved.items() if not over[i]})
         # What keeps promising more than it gives, as friction does about rest, will not give more.
         ended = [i for i, lin in todo.items() if over[i] or _gained(lin, moved[i], free_scale) < tolerance]
-        left = {i: _newton_step(linear[i], free_scale).gain for i in ended}
+        left = {i: newton_step(linear[i], free_scale).gain for i in ended}
         ends |= {i: "converged" if gain < tolerance else "stalled" for i, gain in left.items()}
     return [summarize(linear[i], free_scale, ends[i]) if i in linear else None for i in range(len(points))]
 
@@ -114,13 +114,6 @@ def _again(linear: dict[int, Linearization]) -> dict[int, Linearization]:
     changed = [i for i, lin in linear.items() if not lin.exact]
     new = linearize([(linear[i].problem, linear[i].point) for i in changed]) if changed else []
     return linear | {i: lin for i, lin in zip(changed, new, strict=True) if lin is not None}
-
-
-@dataclass(frozen=True)
-class _Step:
-    z: Float[np.ndarray, " size"]
-    gain: float  # expected, nats
-    s2: float
 
 
 def _descended(
@@ -133,7 +126,7 @@ def _descended(
     now, over, live = dict(linear), dict.fromkeys(linear, False), set(linear)
     last = dict.fromkeys(linear, np.inf)
     for _ in range(NUM_CHORDS):
-        steps = {i: _newton_step(now[i], free_scale) for i in live}
+        steps = {i: newton_step(now[i], free_scale) for i in live}
         for i in [i for i, step in steps.items() if not step.gain > SETTLED * tolerance]:  # NaN included
             over[i] = now[i].exact
             live.remove(i)
@@ -173,7 +166,7 @@ def _height(lin: Linearization, s2: float) -> float:
     return float((lin.stacked**2).sum()) / s2 + float(lin.point.z @ lin.point.z)
 
 
-def _moved(lin: Linearization, step: _Step, fraction: float, starts: Sequence[float] = (1.0,)) -> list[Point]:
+def _moved(lin: Linearization, step: Step, fraction: float, starts: Sequence[float] = (1.0,)) -> list[Point]:
     """The unknowns a fraction on their way, with fractions of the change of the starts that then is best."""
     z = lin.problem.between(lin.point.z, lin.point.z + step.z, fraction)
     seen = lin.columns @ lin.problem.straightened(z, lin.point.z)
@@ -188,56 +181,11 @@ def _gained(before: Linearization, after: Linearization, free_scale: bool) -> fl
     return 0.5 * (_height(before, s2) - _height(after, s2))
 
 
-def noise_scale(lin: Linearization, chi2: float, free_scale: bool) -> float:
-    """Variance ratio by which the misfit exceeds the noise, at least 1."""
-    dof = max(lin.degrees_of_freedom - lin.problem.size, 1)
-    return max(1.0, chi2 / lin.problem.measurement.mean_square / dof) if free_scale else 1.0
-
-
-def _newton_step(lin: Linearization, free_scale: bool) -> _Step:
-    """The most probable point were predictions linear in psi: its bend in z, near a prior's bound, is exact."""
-    gram, slope, square = (x.sum(0) for x in lin.gram())
-    s2 = noise_scale(lin, float(square), free_scale)
-    r = lin.latent.project(lin.stacked)
-    free = float((lin.stacked**2).sum() - (r**2).sum())
-    z = most_probable(lin.problem, lin.point.z, gram / s2, slope / s2)
-    moved = z - lin.point.z
-    bent = lin.problem.straightened(z, lin.point.z)
-    gain = bent @ slope / s2 - 0.5 * bent @ gram @ bent / s2 - 0.5 * (z @ z - lin.point.z @ lin.point.z)
-    return _Step(moved, max(float(gain), 0.0) + 0.5 * free / s2, s2)
-
-
-def most_probable(
-    problem: Problem,
-    z: Float[np.ndarray, " size"],
-    gram: Float[np.ndarray, "size size"],
-    slope: Float[np.ndarray, " size"],
-) -> Float[np.ndarray, " size"]:
-    """Maximum of the prior times a likelihood that is Gaussian in `straightened` unknowns, within LARGEST_STEP of z."""
-    if not problem.size:
-        return z
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))  # unknowns near a bound count little, but must be seen
-    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
-    keep = values > 1e-13 * max(values[-1], 1e-300)
-    root = np.sqrt(values[keep])[:, None] * vectors[:, keep].T * size
-    target = (vectors[:, keep].T @ (slope / size)) / np.sqrt(values[keep])
-
-    straight = problem.straightener(z)
-
-    def misfit(x):
-        return np.concatenate([root @ straight(x) - target, x])
-
-    # A psi may go anywhere in its prior, whose bend is exact, short of where quantiles lose their digits.
-    psi = np.arange(problem.size) < problem.num_psi
-    low = np.where(psi, np.minimum(-FARTHEST, z), np.maximum(z - LARGEST_STEP, problem.floor))
-    high = np.where(psi, np.maximum(FARTHEST, z), np.maximum(z, low) + LARGEST_STEP)
-    return least_squares(misfit, np.maximum(z, low), bounds=(low - 1e-9, high + 1e-9), xtol=1e-10, ftol=1e-12).x
-
-
-def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> list[Linearization | None]:
+def _line_search(linear: Sequence[Linearization], steps: Sequence[Step]) -> list[Linearization | None]:
     """The first of several fractions of each step that serves, or the best of all; None where none is an improvement.
 
-    At each fraction every segment takes its own best start: one that overshoots does not hold the others back.
+    At each fraction every segment takes its own best start: one that overshoots does not hold the others back. Where
+    none serves, and more than noise is left, damped steps turn towards where the height falls.
     """
     heights = [_height(lin, step.s2) for lin, step in zip(linear, steps, strict=True)]
     best: list[Linearization | None] = [None] * len(linear)
@@ -254,6 +202,13 @@ def _line_search(linear: Sequence[Linearization], steps: Sequence[_Step]) -> lis
         searching = [i for i in searching if i not in served]
         if not searching:
             break
+    far = [i for i in searching if not within_chance(steps[i].s2, linear[i].degrees_of_freedom)]
+    for damping in DAMPING if far else ():
+        points = [_moved(linear[i], newton_step(linear[i], True, damping), 1.0, STARTS) for i in far]
+        lowest = _lowest_of([linear[i] for i in far], points, [steps[i].s2 for i in far])
+        for i, (point, predicted, height) in zip(far, lowest, strict=True):
+            if height < (heights[i] if (there := best[i]) is None else _height(there, steps[i].s2)):
+                best[i] = linear[i].about(point, predicted)
     return best
 
 

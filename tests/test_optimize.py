@@ -7,7 +7,7 @@ import pytest
 from conftest import make_study, model_xml
 from simulated import PENDULUM, SPRING, dense_evidence, fit, noise_table, place, pose, recordings, spring_problem
 
-from det2stoc_bayes import optimize
+from det2stoc_bayes import newton, optimize
 from det2stoc_bayes.linearization import linearize, start_point
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.optimize import fit_many
@@ -59,7 +59,7 @@ def test_a_segment_that_overshoots_does_not_hold_the_others_back(pendulum, share
     lin = linearize([(pendulum, here)])[0]
     way = lin.latent.best_start(lin.stacked) * [[1.0], [share]]
     monkeypatch.setattr(type(lin.latent), "best_start", lambda *_: way)
-    step = optimize._Step(np.zeros(pendulum.size), 1.0, 1.0)
+    step = optimize.Step(np.zeros(pendulum.size), 1.0, 1.0)
     (found,) = optimize._line_search([lin], [step])
     np.testing.assert_array_equal(found.point.start.qpos[1], here.start.qpos[1])
     before, after = ((f.stacked[..., 0] ** 2).sum(1) for f in (lin, found))
@@ -96,9 +96,9 @@ def test_a_bad_start_leads_to_the_same_top(pendulum, z):
 def test_a_step_that_overshoots_is_shortened(pendulum, monkeypatch):
     """Where full steps lead uphill, the misfit still falls with every iteration."""
     options, searched = {"free_scale": False, "tolerance": 1e-4}, []
-    search, solve = optimize._line_search, optimize.most_probable
+    search, solve = optimize._line_search, newton.most_probable
     monkeypatch.setattr(optimize, "_line_search", lambda *a: searched.append(1) or search(*a))
-    monkeypatch.setattr(optimize, "most_probable", lambda problem, z, *a: z + 5 * (solve(problem, z, *a) - z))
+    monkeypatch.setattr(newton, "most_probable", lambda problem, z, *a: z + 5 * (solve(problem, z, *a) - z))
     heights = [optimize._height(fit(pendulum, [-1, 1], max_iterations=n, **options).linear, 1.0) for n in range(7)]
     assert searched
     assert all(b <= a for a, b in zip(heights[:-1], heights[1:], strict=True))

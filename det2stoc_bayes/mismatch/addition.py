@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from det2stoc_bayes.mismatch.evidence import profile
-from det2stoc_bayes.optimize import Fit, noise_scale
+from det2stoc_bayes.newton import noise_scale
+from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import FARTHEST
 
 

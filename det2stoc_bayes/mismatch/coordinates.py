@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.density import scale_of
-from det2stoc_bayes.optimize import Fit, most_probable
+from det2stoc_bayes.newton import most_probable
+from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.populations import better_spreads, log_spread_sd
 from det2stoc_bayes.unknowns import Unknowns
 

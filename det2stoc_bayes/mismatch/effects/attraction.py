@@ -58,8 +58,18 @@ class Attraction(PointEffect):
     parameters = (EffectParameter("strength", "N m2", positive=True), EffectParameter("centre", "m", size=3))
 
     def priors(self, typical):
-        """At a distance of the body's own spread a fraction of the typical force."""
+        """A fraction of the typical force, at a distance of the body's own spread."""
         return {"strength": normal(0.3 * typical.force * typical.way**2), "centre": normal(WIDE * typical.way)}
+
+    def from_normal(self, z, typical, xp=np):
+        """The first is the pull where the body is: a centre twice as far has four times the strength."""
+        out = super().from_normal(z, typical, xp)
+        return {**out, "strength": out["strength"] * _farther(out["centre"], typical, xp)}
+
+    def to_normal(self, values, typical):
+        """Inverse of `from_normal`."""
+        near = np.asarray(values["strength"], float) / _farther(np.asarray(values["centre"], float), typical, np)
+        return super().to_normal({**values, "strength": near}, typical)
 
     def trials(self, typical):
         """A few centres around the body."""
@@ -75,3 +85,8 @@ class Attraction(PointEffect):
         from_centre = s.position - p["centre"]
         square = xp.sum(from_centre**2, -1, keepdims=True) + TINY
         return -p["strength"][..., None] * from_centre / square**1.5
+
+
+def _farther(centre, typical, xp):
+    """By how much more than at the body's own spread the square of the distance is."""
+    return 1.0 + xp.sum((centre - xp.asarray(typical.place)) ** 2, -1) / typical.way**2

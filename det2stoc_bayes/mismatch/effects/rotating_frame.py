@@ -1,5 +1,8 @@
 """A frame that turns: what is told relative to it feels Coriolis and centrifugal forces."""
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, normal, unit_columns
@@ -7,6 +10,8 @@ from det2stoc_bayes.mismatch.effects.vectors import cross, times
 
 FULL = 2.0  # prior scale of a coefficient whose column stands at full size
 SIZES = (0.3, 1.0)  # of the prior scale, at which the centrifugal force is looked at
+AXES = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)
 
 
 class RotatingFrame(Effect):
@@ -23,12 +28,21 @@ class RotatingFrame(Effect):
         return {"rate": normal(1.0)}
 
     def trials(self, typical):
-        """Slow, where the Coriolis force is alone; and each axis fast, where the centrifugal force tells no sign."""
-        fast = [tuple(size * axis) for axis in np.eye(3) for size in SIZES]
+        """Slow, where the Coriolis force is alone; and fast, where the centrifugal force mixes an axis's components."""
+        fast = [tuple(size * axis) for axis in AXES for size in SIZES]
         return [
             Trial(unit_columns(self.parameters[0], 0.01)),
             *[Trial(({"rate": f},), FULL, one_sided=True) for f in fast],
         ]
+
+    def about(self, trial, typical, reach):
+        """Axes and speeds about a fast trial's."""
+        if len(trial.columns) > 1:
+            return []
+        (values,) = trial.columns
+        rate = np.asarray(values["rate"])
+        step = reach * float(np.linalg.norm(rate))
+        return [replace(trial, columns=({"rate": tuple(rate + step * axis)},)) for axis in AXES]
 
     def combine(self, trial, coefficients, typical):
         """Slow rates add up; a fast one's square is in proportion."""
