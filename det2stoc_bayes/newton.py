@@ -10,7 +10,6 @@ from det2stoc_bayes.linearization import Linearization
 from det2stoc_bayes.problem import FARTHEST, Problem
 
 LARGEST_STEP = 10.0  # prior sds of an effect in one iteration
-CHANCE = 3.0  # standard deviations of chi2 by which an error exceeds noise by chance
 
 
 @dataclass(frozen=True)
@@ -22,13 +21,13 @@ class Step:
     s2: float
 
 
-def newton_step(lin: Linearization, free_scale: bool, damping: float = 0.0) -> Step:
+def newton_step(lin: Linearization, free_scale: bool) -> Step:
     """The most probable point were predictions linear in psi: its bend in z, near a prior's bound, is exact."""
     gram, slope, square = (x.sum(0) for x in lin.gram())
     s2 = noise_scale(lin, float(square), free_scale)
     r = lin.latent.project(lin.stacked)
     free = float((lin.stacked**2).sum() - (r**2).sum())
-    z = most_probable(lin.problem, lin.point.z, gram / s2, slope / s2, damping)
+    z = most_probable(lin.problem, lin.point.z, gram / s2, slope / s2)
     moved = z - lin.point.z
     bent = lin.problem.straightened(z, lin.point.z)
     gain = bent @ slope / s2 - 0.5 * bent @ gram @ bent / s2 - 0.5 * (z @ z - lin.point.z @ lin.point.z)
@@ -40,12 +39,8 @@ def most_probable(
     z: Float[np.ndarray, " size"],
     gram: Float[np.ndarray, "size size"],
     slope: Float[np.ndarray, " size"],
-    damping: float = 0.0,
 ) -> Float[np.ndarray, " size"]:
-    """Maximum of the prior times a likelihood that is Gaussian in `straightened` unknowns, within LARGEST_STEP of z.
-
-    `damping` (Marquardt 1963) holds it near z, in units of the diagonal of `gram`.
-    """
+    """Maximum of the prior times a likelihood that is Gaussian in `straightened` unknowns, within LARGEST_STEP of z."""
     if not problem.size:
         return z
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))  # unknowns near a bound count little, but must be seen
@@ -57,7 +52,7 @@ def most_probable(
     straight = problem.straightener(z)
 
     def misfit(x):
-        return np.concatenate([root @ straight(x) - target, x, np.sqrt(damping) * size * (x - z)])
+        return np.concatenate([root @ straight(x) - target, x])
 
     # A psi may go anywhere in its prior, whose bend is exact, short of where quantiles lose their digits.
     psi = np.arange(problem.size) < problem.num_psi
@@ -70,8 +65,3 @@ def noise_scale(lin: Linearization, chi2: float, free_scale: bool) -> float:
     """Variance ratio by which the misfit exceeds the noise, at least 1."""
     dof = max(lin.degrees_of_freedom - lin.problem.size, 1)
     return max(1.0, chi2 / lin.problem.measurement.mean_square / dof) if free_scale else 1.0
-
-
-def within_chance(inflation: float, degrees_of_freedom: float) -> bool:
-    """Whether noise alone may well have made a squared residual this many times what is expected of it."""
-    return bool(inflation - 1 < CHANCE * np.sqrt(2 / degrees_of_freedom))

@@ -9,14 +9,13 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.linearization import Linearization, Point, linearize, linearize_beside, simulate, tangent
-from det2stoc_bayes.newton import Step, newton_step, noise_scale, within_chance
+from det2stoc_bayes.newton import Step, newton_step, noise_scale
 from det2stoc_bayes.problem import Problem
 
 FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
 STARTS = (1.0, 0.3, 0.05, 0.0)  # of the change of initial states that goes with it
 SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
 SERVES = 0.2  # of the gain that a fraction of a step promises: with so much the search ends
-DAMPING = (0.01, 0.1, 1.0)  # of the diagonal of the normal equations, in curved valleys
 NUM_CHORDS = 4  # steps with the same sensitivities
 CONTRACTION = 0.3  # of the last step's gain: a step that promises more needs new sensitivities
 NUM_RESPREADS = 8  # rounds in which the spreads of psi by recording settle
@@ -184,8 +183,7 @@ def _gained(before: Linearization, after: Linearization, free_scale: bool) -> fl
 def _line_search(linear: Sequence[Linearization], steps: Sequence[Step]) -> list[Linearization | None]:
     """The first of several fractions of each step that serves, or the best of all; None where none is an improvement.
 
-    At each fraction every segment takes its own best start: one that overshoots does not hold the others back. Where
-    none serves, and more than noise is left, damped steps turn towards where the height falls.
+    At each fraction every segment takes its own best start: one that overshoots does not hold the others back.
     """
     heights = [_height(lin, step.s2) for lin, step in zip(linear, steps, strict=True)]
     best: list[Linearization | None] = [None] * len(linear)
@@ -202,13 +200,6 @@ def _line_search(linear: Sequence[Linearization], steps: Sequence[Step]) -> list
         searching = [i for i in searching if i not in served]
         if not searching:
             break
-    far = [i for i in searching if not within_chance(steps[i].s2, linear[i].degrees_of_freedom)]
-    for damping in DAMPING if far else ():
-        points = [_moved(linear[i], newton_step(linear[i], True, damping), 1.0, STARTS) for i in far]
-        lowest = _lowest_of([linear[i] for i in far], points, [steps[i].s2 for i in far])
-        for i, (point, predicted, height) in zip(far, lowest, strict=True):
-            if height < (heights[i] if (there := best[i]) is None else _height(there, steps[i].s2)):
-                best[i] = linear[i].about(point, predicted)
     return best
 
 

@@ -20,7 +20,7 @@ from xarray import DataTree as DataTree  # what every method returns; only here 
 from det2stoc_bayes.density import Density, log_prior
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import atomic_write
-from det2stoc_bayes.newton import CHANCE
+from det2stoc_bayes.mismatch.evidence import CHANCE
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.vector_density import AnyDensity, Inferred, VectorDensity
 from det2stoc_bayes.vector_problem import Posed

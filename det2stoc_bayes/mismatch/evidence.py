@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.newton import within_chance
 from det2stoc_bayes.optimize import Fit
 
 MODEL_ERROR = 1.5  # noise inflation beyond which residuals are taken to be model error, correlated in time
+CHANCE = 3.0  # standard deviations of chi2 by which an error exceeds noise by chance
 PRIOR_OF_NONE = 0.5  # probability before the data that nothing more was left out
 
 
@@ -21,7 +21,7 @@ def whitened(fit: Fit) -> Float[np.ndarray, "segments samples columns"]:
 
 def by_chance(fit: Fit) -> bool:
     """Whether noise alone may well have made what a fit leaves."""
-    return within_chance(fit.noise_inflation, fit.linear.degrees_of_freedom)
+    return bool(fit.noise_inflation - 1 < CHANCE * np.sqrt(2 / fit.linear.degrees_of_freedom))
 
 
 def effective_share(fit: Fit) -> float:

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from det2stoc_bayes.mismatch.evidence import CHANCE
 from det2stoc_bayes.mismatch.finding import Effect, RecordingPart
 from det2stoc_bayes.mismatch.heldout import HeldOut
-from det2stoc_bayes.newton import CHANCE
 
 NEGLIGIBLE = 0.05  # of the held-out squared error beyond noise
 CHANGED = 4 * CHANCE**2  # two predictions a squared distance d apart differ in chi2 by d +- 2 sqrt(d) under noise

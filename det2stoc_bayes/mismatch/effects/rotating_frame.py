@@ -37,12 +37,9 @@ class RotatingFrame(Effect):
 
     def about(self, trial, typical, reach):
         """Axes and speeds about a fast trial's."""
-        if len(trial.columns) > 1:
-            return []
-        (values,) = trial.columns
-        rate = np.asarray(values["rate"])
-        step = reach * float(np.linalg.norm(rate))
-        return [replace(trial, columns=({"rate": tuple(rate + step * axis)},)) for axis in AXES]
+        fast = [np.asarray(values["rate"]) for values in trial.columns if len(trial.columns) == 1]
+        steps = [(rate, reach * float(np.linalg.norm(rate))) for rate in fast]
+        return [replace(trial, columns=({"rate": tuple(r + step * axis)},)) for r, step in steps for axis in AXES]
 
     def combine(self, trial, coefficients, typical):
         """Slow rates add up; a fast one's square is in proportion."""
