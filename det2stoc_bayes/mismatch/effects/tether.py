@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from det2stoc_bayes.mismatch.effects.attraction import DIRECTIONS, WIDE, PointEffect
-from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, around, normal
+from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, normal
 
 NEAR = 1.5  # spreads of the body's own places, from the first anchors that are tried
 SLACK = (-0.7, 0.0, 0.7)  # spreads by which the string is longer than the way to the body's middle place
@@ -25,13 +25,20 @@ class Tether(PointEffect):
     )
 
     def priors(self, typical):
-        """Over the body's own spread a fraction of the typical force."""
+        """Over the body's own spread a fraction of the typical force; a string about as long as the way to the body."""
         way = typical.way
-        return {
-            "stiffness": normal(0.5 * typical.force / way),
-            "length": around(1.5 * way),
-            "anchor": normal(WIDE * way),
-        }
+        return {"stiffness": normal(0.5 * typical.force / way), "length": normal(way), "anchor": normal(WIDE * way)}
+
+    def from_normal(self, z, typical, xp=np):
+        """The second is by how much, in spreads, the string is longer than the way, if it is not much."""
+        out = super().from_normal(z, typical, xp)
+        way = _way(out["anchor"], typical, xp)
+        return {**out, "length": way * xp.exp(out["length"] / way)}
+
+    def to_normal(self, values, typical):
+        """Inverse of `from_normal`."""
+        way = _way(np.asarray(values["anchor"], float), typical, np)
+        return super().to_normal({**values, "length": way * np.log(np.asarray(values["length"], float) / way)}, typical)
 
     def trials(self, typical):
         """A few anchors around the body, each with strings that are taut for more or less of the way."""
@@ -59,3 +66,8 @@ class Tether(PointEffect):
         distance = xp.sqrt(xp.sum(from_anchor**2, -1, keepdims=True) + TINY)
         longer = xp.maximum(distance - p["length"][..., None], 0.0)
         return -p["stiffness"][..., None] * longer * from_anchor / distance
+
+
+def _way(anchor, typical, xp):
+    """From the body's middle place to the anchor, and never less than its spread."""
+    return xp.sqrt(xp.sum((anchor - xp.asarray(typical.place)) ** 2, -1) + typical.way**2)
