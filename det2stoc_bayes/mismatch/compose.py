@@ -9,11 +9,12 @@ from det2stoc_bayes.errors import listing
 from det2stoc_bayes.mismatch import finding
 from det2stoc_bayes.mismatch.conflict import tail_probability
 from det2stoc_bayes.mismatch.credence import Credence
-from det2stoc_bayes.mismatch.effects import CATALOGUE
+from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
 from det2stoc_bayes.mismatch.experiment import propose
 from det2stoc_bayes.mismatch.heldout import horizon_samples
 from det2stoc_bayes.mismatch.judgement import Judgement, Named
+from det2stoc_bayes.mismatch.mirrors import mirrored
 from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond
 from det2stoc_bayes.mismatch.race import Ranked
 from det2stoc_bayes.mismatch.refit import swap
@@ -24,8 +25,10 @@ from det2stoc_bayes.mismatch.statements import (
     drop,
     element,
     finer_step,
+    mirror,
     parameters,
     psi_moments,
+    spanning,
     statement,
 )
 from det2stoc_bayes.mismatch.where import Condition
@@ -85,6 +88,8 @@ class Composer:
         for m in (first, *others):
             fit, z = self._drawn(m, place)
             listed[m.placed], psi[m.placed] = parameters(fit, m.placed, z), psi_moments(fit, z)
+        turned = self._mirrored(first.placed)
+        listed[first.placed] = spanning(listed[first.placed], turned)
         equally = tuple(f"{m.placed.effect.name.replace('_', ' ')} on {m.placed.element.label}" for m in others)
         return finding.Effect(
             name=first.placed.effect.name,
@@ -106,7 +111,15 @@ class Composer:
             ),
             alternatives=tuple(alternatives(named.rest)),
             by_recording=named.by_recording,
+            mirrored=turned,
         )
+
+    def _mirrored(self, placed: PlacedEffect) -> dict[str, finding.Quantity]:
+        """The effect's vectors at the other top of its posterior, if it has one."""
+        belief = self.credence.after
+        twin = mirrored(belief, placed) if placed in belief.fit.problem.effects else None
+        other = {} if twin is None else parameters(belief.fit, placed, twin)
+        return {n: q for n, q in other.items() if isinstance(q, finding.Quantity) and isinstance(q.mean, tuple)}
 
     def _drawn(self, member: Ranked, place: int) -> tuple[Fit, Float[np.ndarray, "draws size"]]:
         """A member's posterior over the stretches of what is told: the belief's own, or draws about its fit there."""
@@ -209,7 +222,7 @@ class Composer:
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         gone = drop(fit, "it" if len(effects) == 1 else "them")
         step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()
-        told = [t for e in effects for t in (e.statement, _untold(e, alone=len(effects) == 1), other_psi(e))]
+        told = [t for e in effects for t in (e.statement, mirror(e), _untold(e, alone=len(effects) == 1), other_psi(e))]
         return " ".join(text for text in [*told, gone, step, left] if text)
 
     def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:

@@ -53,6 +53,26 @@ def parameters(
     }
 
 
+def spanning(
+    told: Mapping[str, finding.Parameter], other: Mapping[str, finding.Quantity]
+) -> dict[str, finding.Parameter]:
+    """Parameters whose intervals hold another top's, too; mean and sd stay."""
+    out = dict(told)
+    for name, mirrored in other.items():
+        q = told[name]
+        assert isinstance(q, finding.Quantity)
+        both = np.stack([np.array(x.interval, float) for x in (q, mirrored)])
+        bounds = np.stack([both[..., 0].min(0), both[..., 1].max(0)], -1)
+        out[name] = finding.Quantity.model_validate(q.model_dump() | {"interval": bounds.tolist()})
+    return out
+
+
+def mirror(effect: finding.Effect) -> str:
+    """That vectors with some signs turned would do as well; empty where not."""
+    said = [f"{name.replace('_', ' ')} {rounded(q)}" for name, q in effect.mirrored.items()]
+    return f"Mirrored it tells the recordings as well: {', '.join(said)}." if said else ""
+
+
 def psi_moments(fit: HasProblem, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Moments]:
     """Mean and sd of each psi, by draws of a fit's unknowns."""
     values = zip(fit.problem.simulator.parameters, fit.problem.psi(z).T, strict=True)

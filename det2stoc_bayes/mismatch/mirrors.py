@@ -1,0 +1,44 @@
+"""Vectors that recordings tell but for a mirror: with the signs of some components turned they tell as much.
+
+A hinge feels the squares and products of a frame's rates, and a body that swings in a plane a point before it as one
+behind it. The posterior has two tops then, of which a fit ends on one.
+"""
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.mismatch.belief import Belief
+from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.effects.base import AXES
+
+ALIKE = 1.0  # nats
+CLEAR = 2.0  # sds of a component's posterior from the mirror: a nearer one spans it anyway
+
+
+def mirrored(belief: Belief, placed: PlacedEffect) -> Float[np.ndarray, "draws size"] | None:
+    """Draws about the other top, the likeliest of several; None where no mirror tells the recordings as well."""
+    density, here = belief.density, belief.fit.point.z
+    flips = [np.where(np.isin(np.arange(len(here)), turned), -1.0, 1.0) for turned in _turned(belief, placed)]
+    if not flips:
+        return None
+    heights = density.log_density(np.stack([here, *(flip * here for flip in flips)]))
+    best = 1 + int(np.argmax(heights[1:]))
+    return flips[best - 1] * belief.z if heights[best] > heights[0] - ALIKE else None
+
+
+def _turned(belief: Belief, placed: PlacedEffect) -> Iterator[tuple[int, ...]]:
+    """Unknowns of a vector whose signs may be turned together."""
+    problem = belief.fit.problem
+    at = problem.num_psi
+    for other in problem.effects:
+        for p in other.effect.unknown:
+            rows = range(at, at + p.size)
+            at += p.size
+            if other != placed or p.size != len(AXES) or not other.effect.listed:
+                continue
+            clear = [i for i in rows if abs(belief.z[:, i].mean()) > CLEAR * belief.z[:, i].std()]
+            for count in range(1, len(clear) + 1):
+                yield from combinations(clear, count)

@@ -1,0 +1,58 @@
+"""Where a mirror tells the recordings as well, both tops are told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import make_study, model_xml
+from simulated import PENDULUM, noise_table, place, pose, recordings
+
+from det2stoc_bayes.engines.magnitudes import Magnitudes
+from det2stoc_bayes.linearization import start_point
+from det2stoc_bayes.mismatch import finding
+from det2stoc_bayes.mismatch.belief import believe
+from det2stoc_bayes.mismatch.mirrors import mirrored
+from det2stoc_bayes.mismatch.statements import parameters, spanning
+from det2stoc_bayes.optimize import fit_many
+
+CENTRE = np.array([0.3, 0.25, 0.75])
+
+
+def believed(tmp_path, name, element, values, push):
+    starts = [([0.4], [0.0]), ([-0.8], [1.0]), ([1.2], [-0.5])]
+    made = recordings(model_xml(PENDULUM), starts, 5 * np.arange(60), (1e-3, 1e-2), push=push)
+    problem = pose(make_study(tmp_path / name, model_xml(PENDULUM), noise_table(1e-3, 1e-2), made))
+    placed = place(problem, name, element or problem.simulator.elements("body", ())[0].name)
+    placed = replace(placed, typical=Magnitudes(problem).of(placed.element))
+    problem = problem.with_effects((placed,))
+    z = placed.effect.to_normal(values, placed.typical)
+    (fit,) = fit_many([(problem, start_point(problem, np.concatenate([np.zeros(problem.num_psi), z])))])
+    return believe(fit, 1.0, 0), placed
+
+
+def pulled(model, data):
+    away = data.xipos[1] - CENTRE
+    data.xfrc_applied[1, :3] = -0.05 * away / np.linalg.norm(away) ** 3
+
+
+def test_a_point_beside_a_plane_of_motion_has_a_twin_behind_it(tmp_path):
+    belief, placed = believed(tmp_path, "attraction", "", {"strength": 0.05, "centre": CENTRE}, pulled)
+    twin = mirrored(belief, placed)
+    assert twin is not None
+    here, there = (parameters(belief.fit, placed, z) for z in (belief.z, twin))
+    (x, y, z), (x_there, y_there, z_there) = here["centre"].mean, there["centre"].mean
+    assert (x_there, y_there, z_there) == pytest.approx((x, -y, z), abs=1e-9)
+    assert y == pytest.approx(CENTRE[1], abs=4 * here["centre"].sd[1])
+    both = spanning(here, {"centre": there["centre"]})["centre"]
+    assert isinstance(both, finding.Quantity)
+    assert both.interval[1] == pytest.approx((there["centre"].interval[1][0], here["centre"].interval[1][1]))
+    assert both.interval[0] == here["centre"].interval[0] and both.mean == here["centre"].mean
+
+
+def test_an_offset_in_the_plane_has_none(tmp_path):
+    def pushed(model, data):
+        data.xfrc_applied[1, 3:] = np.cross(data.xmat[1].reshape(3, 3) @ [0.02, 0.0, 0.01], 0.8 * model.opt.gravity)
+
+    belief, placed = believed(tmp_path, "com_offset", "", {"offset": np.array([0.02, 0.0, 0.01])}, pushed)
+    assert (np.abs(belief.z.mean(0))[-3:][[0, 2]] > 2 * belief.z.std(0)[-3:][[0, 2]]).all()
+    assert mirrored(belief, placed) is None
