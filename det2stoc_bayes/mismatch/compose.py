@@ -1,5 +1,6 @@
 """A judgement in words and numbers: the content of diagnosis.json."""
 
+from collections.abc import Mapping
 from importlib.metadata import version
 
 import numpy as np
@@ -88,7 +89,7 @@ class Composer:
         for m in (first, *others):
             fit, z = self._drawn(m, place)
             listed[m.placed], psi[m.placed] = parameters(fit, m.placed, z), psi_moments(fit, z)
-        turned = self._mirrored(first.placed)
+        turned = self._mirrored(first.placed, listed[first.placed])
         listed[first.placed] = spanning(listed[first.placed], turned)
         equally = tuple(f"{m.placed.effect.name.replace('_', ' ')} on {m.placed.element.label}" for m in others)
         return finding.Effect(
@@ -114,12 +115,12 @@ class Composer:
             mirrored=turned,
         )
 
-    def _mirrored(self, placed: PlacedEffect) -> dict[str, finding.Quantity]:
-        """The effect's vectors at the other top of its posterior, if it has one."""
+    def _mirrored(self, placed: PlacedEffect, told: Mapping[str, finding.Parameter]) -> dict[str, finding.Quantity]:
+        """Those of the effect's parameters that are others at the other top of its posterior, if it has one."""
         belief = self.credence.after
         twin = mirrored(belief, placed) if placed in belief.fit.problem.effects else None
         other = {} if twin is None else parameters(belief.fit, placed, twin)
-        return {n: q for n, q in other.items() if isinstance(q, finding.Quantity) and isinstance(q.mean, tuple)}
+        return {n: q for n, q in other.items() if isinstance(q, finding.Quantity) and q != told[n]}
 
     def _drawn(self, member: Ranked, place: int) -> tuple[Fit, Float[np.ndarray, "draws size"]]:
         """A member's posterior over the stretches of what is told: the belief's own, or draws about its fit there."""

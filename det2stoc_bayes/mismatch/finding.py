@@ -163,7 +163,7 @@ class Effect(Entry):
     equivalent: tuple[Equivalent, ...]
     alternatives: tuple[Alternative, ...]
     by_recording: tuple[RecordingPart, ...] = ()
-    mirrored: dict[str, Quantity] = Field(default={}, description="vectors that would do as well; intervals hold both")
+    mirrored: dict[str, Quantity] = Field(default={}, description="values that would do as well; intervals hold both")
 
 
 class Experiment(Entry):

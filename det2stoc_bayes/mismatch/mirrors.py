@@ -1,7 +1,8 @@
-"""Vectors that recordings tell but for a mirror: with the signs of some components turned they tell as much.
+"""Parameters that recordings tell but for a mirror: with the signs of some of them turned they tell as much.
 
-A hinge feels the squares and products of a frame's rates, and a body that swings in a plane a point before it as one
-behind it. The posterior has two tops then, of which a fit ends on one.
+A hinge feels the squares and products of a frame's rates, an arm in a plane how far gravity leans out of it and not to
+which side, and a body that swings in a plane a point before it as one behind it. The posterior has two tops then, of
+which a fit ends on one.
 """
 
 from collections.abc import Iterator
@@ -12,9 +13,9 @@ from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.belief import Belief
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.effects.base import AXES
 
 ALIKE = 1.0  # nats
+MOST = 3  # that are turned at once
 CLEAR = 2.0  # sds of a component's posterior from the mirror: a nearer one spans it anyway
 
 
@@ -30,15 +31,14 @@ def mirrored(belief: Belief, placed: PlacedEffect) -> Float[np.ndarray, "draws s
 
 
 def _turned(belief: Belief, placed: PlacedEffect) -> Iterator[tuple[int, ...]]:
-    """Unknowns of a vector whose signs may be turned together."""
+    """Unknowns of the effect whose signs may be turned together."""
     problem = belief.fit.problem
-    at = problem.num_psi
+    begin = problem.num_psi
     for other in problem.effects:
-        for p in other.effect.unknown:
-            rows = range(at, at + p.size)
-            at += p.size
-            if other != placed or p.size != len(AXES) or not other.effect.listed:
-                continue
-            clear = [i for i in rows if abs(belief.z[:, i].mean()) > CLEAR * belief.z[:, i].std()]
-            for count in range(1, len(clear) + 1):
+        if other == placed and other.effect.listed:
+            signed = np.repeat([not p.positive for p in other.effect.unknown], [p.size for p in other.effect.unknown])
+            rows = begin + np.flatnonzero(signed)
+            clear = [int(i) for i in rows if abs(belief.z[:, i].mean()) > CLEAR * belief.z[:, i].std()]
+            for count in range(1, min(len(clear), MOST) + 1):
                 yield from combinations(clear, count)
+        begin += other.size

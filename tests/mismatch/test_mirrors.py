@@ -56,3 +56,23 @@ def test_an_offset_in_the_plane_has_none(tmp_path):
     belief, placed = believed(tmp_path, "com_offset", "", {"offset": np.array([0.02, 0.0, 0.01])}, pushed)
     assert (np.abs(belief.z.mean(0))[-3:][[0, 2]] > 2 * belief.z.std(0)[-3:][[0, 2]]).all()
     assert mirrored(belief, placed) is None
+
+
+def test_gravity_leans_to_either_side_of_the_plane(tmp_path):
+    tilt = 0.3
+
+    def leaned(model, data):
+        data.xfrc_applied[1, 2] = model.body_mass[1] * 9.81 * (1 - np.cos(tilt))
+
+    values = {"toward_x": 0.0, "toward_y": tilt}
+    belief, placed = believed(tmp_path, "gravity_tilt", "world", values, leaned)
+    twin = mirrored(belief, placed)
+    assert twin is not None
+    here, there = (parameters(belief.fit, placed, z)["toward_y"] for z in (belief.z, twin))
+    assert isinstance(here, finding.Quantity) and isinstance(there, finding.Quantity)
+    assert there.mean == pytest.approx(-here.mean)
+    assert abs(here.mean) == pytest.approx(tilt, abs=4 * here.sd)
+    both = spanning({"toward_y": here}, {"toward_y": there})["toward_y"]
+    assert isinstance(both, finding.Quantity)
+    low, high = both.interval
+    assert -low == pytest.approx(high) and high > abs(here.mean)
