@@ -64,12 +64,12 @@ class Attraction(PointEffect):
     def from_normal(self, z, typical, xp=np):
         """The first is the pull where the body is: a centre twice as far has four times the strength."""
         out = super().from_normal(z, typical, xp)
-        return {**out, "strength": out["strength"] * _farther(out["centre"], typical, xp)}
+        return {**out, "strength": out["strength"] * (way_to(out["centre"], typical, xp) / typical.way) ** 2}
 
     def to_normal(self, values, typical):
         """Inverse of `from_normal`."""
-        near = np.asarray(values["strength"], float) / _farther(np.asarray(values["centre"], float), typical, np)
-        return super().to_normal({**values, "strength": near}, typical)
+        farther = way_to(np.asarray(values["centre"], float), typical, np) / typical.way
+        return super().to_normal({**values, "strength": np.asarray(values["strength"], float) / farther**2}, typical)
 
     def trials(self, typical):
         """A few centres around the body."""
@@ -87,6 +87,6 @@ class Attraction(PointEffect):
         return -p["strength"][..., None] * from_centre / square**1.5
 
 
-def _farther(centre, typical, xp):
-    """By how much more than at the body's own spread the square of the distance is."""
-    return 1.0 + xp.sum((centre - xp.asarray(typical.place)) ** 2, -1) / typical.way**2
+def way_to(point, typical, xp):
+    """From the body's middle place to a point, and never less than the body's own spread."""
+    return xp.sqrt(xp.sum((point - xp.asarray(typical.place)) ** 2, -1) + typical.way**2)

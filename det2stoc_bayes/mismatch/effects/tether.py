@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.effects.attraction import DIRECTIONS, WIDE, PointEffect
+from det2stoc_bayes.mismatch.effects.attraction import DIRECTIONS, WIDE, PointEffect, way_to
 from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, normal
 
 NEAR = 1.5  # spreads of the body's own places, from the first anchors that are tried
@@ -32,12 +32,12 @@ class Tether(PointEffect):
     def from_normal(self, z, typical, xp=np):
         """The second is by how much, in spreads, the string is longer than the way, if it is not much."""
         out = super().from_normal(z, typical, xp)
-        way = _way(out["anchor"], typical, xp)
+        way = way_to(out["anchor"], typical, xp)
         return {**out, "length": way * xp.exp(out["length"] / way)}
 
     def to_normal(self, values, typical):
         """Inverse of `from_normal`."""
-        way = _way(np.asarray(values["anchor"], float), typical, np)
+        way = way_to(np.asarray(values["anchor"], float), typical, np)
         return super().to_normal({**values, "length": way * np.log(np.asarray(values["length"], float) / way)}, typical)
 
     def trials(self, typical):
@@ -66,8 +66,3 @@ class Tether(PointEffect):
         distance = xp.sqrt(xp.sum(from_anchor**2, -1, keepdims=True) + TINY)
         longer = xp.maximum(distance - p["length"][..., None], 0.0)
         return -p["stiffness"][..., None] * longer * from_anchor / distance
-
-
-def _way(anchor, typical, xp):
-    """From the body's middle place to the anchor, and never less than its spread."""
-    return xp.sqrt(xp.sum((anchor - xp.asarray(typical.place)) ** 2, -1) + typical.way**2)
