@@ -16,11 +16,13 @@ FRACTIONS = (0.4, 0.1, 0.02)  # of a step that overshoots
 STARTS = (1.0, 0.3, 0.05, 0.0)  # of the change of initial states that goes with it
 SETTLED = 0.03  # of the tolerance: a step that promises less is not taken
 SERVES = 0.2  # of the gain that a fraction of a step promises: with so much the search ends
+POOR, PATIENCE = 0.1, 3  # a search ends after so many iterations in a row that gave less than this of their promise
 NUM_CHORDS = 4  # steps with the same sensitivities
 CONTRACTION = 0.3  # of the last step's gain: a step that promises more needs new sensitivities
 NUM_RESPREADS = 8  # rounds in which the spreads of psi by recording settle
 
-# A search that stalled promised more than it gave, as about a kink; an unfinished one would have gone on.
+# A search that stalled promised more than it gave, as about a kink or along a bent valley; an unfinished one would have
+# gone on.
 End = Literal["converged", "stalled", "unfinished"]
 
 
@@ -95,6 +97,7 @@ def _fit_held(
     """Gauss-Newton with the spreads held."""
     linear = {i: lin for i, lin in enumerate(linearize(points)) if lin is not None}
     ends: dict[int, End] = dict.fromkeys(linear, "unfinished")
+    poor = dict.fromkeys(linear, 0)
     for _ in range(max_iterations):
         todo = {i: linear[i] for i, end in ends.items() if end == "unfinished"}
         if not todo:
@@ -102,7 +105,10 @@ def _fit_held(
         moved, over = _descended(todo, tolerance, free_scale)
         linear |= moved | _again({i: lin for i, lin in moved.items() if not over[i]})
         # What keeps promising more than it gives, as friction does about rest, will not give more.
-        ended = [i for i, lin in todo.items() if over[i] or _gained(lin, moved[i], free_scale) < tolerance]
+        gained = {i: _gained(lin, moved[i], free_scale) for i, lin in todo.items()}
+        for i, lin in todo.items():
+            poor[i] = poor[i] + 1 if gained[i] < POOR * newton_step(lin, free_scale).gain else 0
+        ended = [i for i in todo if over[i] or gained[i] < tolerance or poor[i] == PATIENCE]
         left = {i: newton_step(linear[i], free_scale).gain for i in ended}
         ends |= {i: "converged" if gain < tolerance else "stalled" for i, gain in left.items()}
     return [summarize(linear[i], free_scale, ends[i]) if i in linear else None for i in range(len(points))]

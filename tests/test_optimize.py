@@ -66,6 +66,23 @@ def test_a_segment_that_overshoots_does_not_hold_the_others_back(pendulum, share
     assert after[0] < 0.9 * before[0] and after[1] == pytest.approx(before[1])
 
 
+def test_a_search_that_gives_little_of_its_promises_ends(pendulum, monkeypatch):
+    iterations = []
+
+    def crawled(linear, *_):  # along a bent valley: a little up, and as much to go as before
+        iterations.append(len(linear))
+        return linear, dict.fromkeys(linear, False)
+
+    monkeypatch.setattr(optimize, "_descended", crawled)
+    monkeypatch.setattr(optimize, "newton_step", lambda lin, _: optimize.Step(lin.point.z, 100.0, 1.0))
+    for share, count in ((0.05, 3), (0.2, 8)):
+        monkeypatch.setattr(optimize, "_gained", lambda *_, share=share: 100.0 * share)
+        iterations.clear()
+        (found,) = fit_many([(pendulum, start_point(pendulum))], max_iterations=8)
+        assert found is not None and found.end == ("stalled" if count == 3 else "unfinished")
+        assert len(iterations) == count
+
+
 @pytest.mark.parametrize("louder", [1, 300])  # with the louder noise the prior matters as much as the data
 def test_it_ends_at_the_top(pendulum, louder):
     problem = replace(pendulum, noise=louder * pendulum.noise)

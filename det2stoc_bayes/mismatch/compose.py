@@ -115,12 +115,14 @@ class Composer:
             mirrored=turned,
         )
 
-    def _mirrored(self, placed: PlacedEffect, told: Mapping[str, finding.Parameter]) -> dict[str, finding.Quantity]:
-        """Those of the effect's parameters that are others at the other top of its posterior, if it has one."""
+    def _mirrored(
+        self, placed: PlacedEffect, told: Mapping[str, finding.Parameter]
+    ) -> tuple[dict[str, finding.Quantity], ...]:
+        """Those of the effect's parameters that are others at each other top of its posterior."""
         belief = self.credence.after
-        twin = mirrored(belief, placed) if placed in belief.fit.problem.effects else None
-        other = {} if twin is None else parameters(belief.fit, placed, twin)
-        return {n: q for n, q in other.items() if isinstance(q, finding.Quantity) and q != told[n]}
+        twins = mirrored(belief, placed) if placed in belief.fit.problem.effects else []
+        tops = [parameters(belief.fit, placed, twin) for twin in twins]
+        return tuple({n: q for n, q in t.items() if isinstance(q, finding.Quantity) and q != told[n]} for t in tops)
 
     def _drawn(self, member: Ranked, place: int) -> tuple[Fit, Float[np.ndarray, "draws size"]]:
         """A member's posterior over the stretches of what is told: the belief's own, or draws about its fit there."""

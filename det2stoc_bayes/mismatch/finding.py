@@ -163,7 +163,7 @@ class Effect(Entry):
     equivalent: tuple[Equivalent, ...]
     alternatives: tuple[Alternative, ...]
     by_recording: tuple[RecordingPart, ...] = ()
-    mirrored: dict[str, Quantity] = Field(default={}, description="values that would do as well; intervals hold both")
+    mirrored: tuple[dict[str, Quantity], ...] = Field(default=(), description="other values that would do as well")
 
 
 class Experiment(Entry):

@@ -1,8 +1,8 @@
 """Parameters that recordings tell but for a mirror: with the signs of some of them turned they tell as much.
 
 A hinge feels the squares and products of a frame's rates, an arm in a plane how far gravity leans out of it and not to
-which side, and a body that swings in a plane a point before it as one behind it. The posterior has two tops then, of
-which a fit ends on one.
+which side, and a body that swings in a plane a point before it as one behind it. The posterior has several tops
+then, of which a fit ends on one.
 """
 
 from collections.abc import Iterator
@@ -19,15 +19,14 @@ MOST = 3  # that are turned at once
 CLEAR = 2.0  # sds of a component's posterior from the mirror: a nearer one spans it anyway
 
 
-def mirrored(belief: Belief, placed: PlacedEffect) -> Float[np.ndarray, "draws size"] | None:
-    """Draws about the other top, the likeliest of several; None where no mirror tells the recordings as well."""
+def mirrored(belief: Belief, placed: PlacedEffect) -> list[Float[np.ndarray, "draws size"]]:
+    """Draws about each other top that tells the recordings as well, likeliest first; none where no mirror does."""
     density, here = belief.density, belief.fit.point.z
     flips = [np.where(np.isin(np.arange(len(here)), turned), -1.0, 1.0) for turned in _turned(belief, placed)]
     if not flips:
-        return None
-    heights = density.log_density(np.stack([here, *(flip * here for flip in flips)]))
-    best = 1 + int(np.argmax(heights[1:]))
-    return flips[best - 1] * belief.z if heights[best] > heights[0] - ALIKE else None
+        return []
+    height, *heights = density.log_density(np.stack([here, *(flip * here for flip in flips)]))
+    return [flips[i] * belief.z for i in np.argsort(-np.array(heights)) if heights[i] > height - ALIKE]
 
 
 def _turned(belief: Belief, placed: PlacedEffect) -> Iterator[tuple[int, ...]]:

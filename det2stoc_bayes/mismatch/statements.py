@@ -54,23 +54,23 @@ def parameters(
 
 
 def spanning(
-    told: Mapping[str, finding.Parameter], other: Mapping[str, finding.Quantity]
+    told: Mapping[str, finding.Parameter], others: Sequence[Mapping[str, finding.Quantity]]
 ) -> dict[str, finding.Parameter]:
-    """Parameters whose intervals hold another top's, too; mean and sd stay."""
+    """Parameters whose intervals hold those of other tops, too; mean and sd stay."""
     out = dict(told)
-    for name, mirrored in other.items():
+    for name in {n for other in others for n in other}:
         q = told[name]
         assert isinstance(q, finding.Quantity)
-        both = np.stack([np.array(x.interval, float) for x in (q, mirrored)])
-        bounds = np.stack([both[..., 0].min(0), both[..., 1].max(0)], -1)
+        every = np.stack([np.array(x.interval, float) for x in (q, *(o[name] for o in others if name in o))])
+        bounds = np.stack([every[..., 0].min(0), every[..., 1].max(0)], -1)
         out[name] = finding.Quantity.model_validate(q.model_dump() | {"interval": bounds.tolist()})
     return out
 
 
 def mirror(effect: finding.Effect) -> str:
-    """That vectors with some signs turned would do as well; empty where not."""
-    said = [f"{name.replace('_', ' ')} {rounded(q)}" for name, q in effect.mirrored.items()]
-    return f"Mirrored it tells the recordings as well: {', '.join(said)}." if said else ""
+    """That parameters with some signs turned would do as well; empty where not."""
+    tops = [", ".join(f"{n.replace('_', ' ')} {rounded(q)}" for n, q in top.items()) for top in effect.mirrored]
+    return f"Mirrored it tells the recordings as well: {', or '.join(tops)}." if tops else ""
 
 
 def psi_moments(fit: HasProblem, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Moments]:

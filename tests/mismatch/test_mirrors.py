@@ -7,6 +7,7 @@ import pytest
 from conftest import make_study, model_xml
 from simulated import PENDULUM, noise_table, place, pose, recordings
 
+from det2stoc_bayes.density import Density
 from det2stoc_bayes.engines.magnitudes import Magnitudes
 from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.mismatch import finding
@@ -37,13 +38,12 @@ def pulled(model, data):
 
 def test_a_point_beside_a_plane_of_motion_has_a_twin_behind_it(tmp_path):
     belief, placed = believed(tmp_path, "attraction", "", {"strength": 0.05, "centre": CENTRE}, pulled)
-    twin = mirrored(belief, placed)
-    assert twin is not None
+    (twin,) = mirrored(belief, placed)
     here, there = (parameters(belief.fit, placed, z) for z in (belief.z, twin))
     (x, y, z), (x_there, y_there, z_there) = here["centre"].mean, there["centre"].mean
     assert (x_there, y_there, z_there) == pytest.approx((x, -y, z), abs=1e-9)
     assert y == pytest.approx(CENTRE[1], abs=4 * here["centre"].sd[1])
-    both = spanning(here, {"centre": there["centre"]})["centre"]
+    both = spanning(here, [{"centre": there["centre"]}])["centre"]
     assert isinstance(both, finding.Quantity)
     assert both.interval[1] == pytest.approx((there["centre"].interval[1][0], here["centre"].interval[1][1]))
     assert both.interval[0] == here["centre"].interval[0] and both.mean == here["centre"].mean
@@ -55,7 +55,7 @@ def test_an_offset_in_the_plane_has_none(tmp_path):
 
     belief, placed = believed(tmp_path, "com_offset", "", {"offset": np.array([0.02, 0.0, 0.01])}, pushed)
     assert (np.abs(belief.z.mean(0))[-3:][[0, 2]] > 2 * belief.z.std(0)[-3:][[0, 2]]).all()
-    assert mirrored(belief, placed) is None
+    assert mirrored(belief, placed) == []
 
 
 def test_gravity_leans_to_either_side_of_the_plane(tmp_path):
@@ -66,13 +66,37 @@ def test_gravity_leans_to_either_side_of_the_plane(tmp_path):
 
     values = {"toward_x": 0.0, "toward_y": tilt}
     belief, placed = believed(tmp_path, "gravity_tilt", "world", values, leaned)
-    twin = mirrored(belief, placed)
-    assert twin is not None
+    (twin,) = mirrored(belief, placed)
     here, there = (parameters(belief.fit, placed, z)["toward_y"] for z in (belief.z, twin))
     assert isinstance(here, finding.Quantity) and isinstance(there, finding.Quantity)
     assert there.mean == pytest.approx(-here.mean)
     assert abs(here.mean) == pytest.approx(tilt, abs=4 * here.sd)
-    both = spanning({"toward_y": here}, {"toward_y": there})["toward_y"]
+    both = spanning({"toward_y": here}, [{"toward_y": there}])["toward_y"]
     assert isinstance(both, finding.Quantity)
     low, high = both.interval
     assert -low == pytest.approx(high) and high > abs(here.mean)
+
+
+def test_of_several_mirrors_all_are_told_that_do_as_well(tmp_path, monkeypatch):
+    values = {"toward_x": 0.2, "toward_y": 0.3}
+    belief, placed = believed(tmp_path, "gravity_tilt", "world", values, lambda model, data: None)
+    here = np.array([*belief.fit.point.z[:-2], 2.0, 3.0])
+    steep = np.array([0.4, 0.0])  # nats by which a turned sign does worse
+
+    def log_density(self, z):
+        return -np.abs(np.abs(z[:, -2:]) - here[-2:]).sum(1) - (z[:, -2:] < 0) @ steep
+
+    monkeypatch.setattr(Density, "log_density", log_density)
+    z = here + 0.01 * np.random.default_rng(0).standard_normal((len(belief.z), len(here)))
+    linear = replace(belief.fit.linear, point=replace(belief.fit.point, z=here))
+    symmetric = replace(belief, fit=replace(belief.fit, linear=linear), z=z)
+    signs = [np.sign(draws[:, -2:].mean(0)).tolist() for draws in mirrored(symmetric, placed)]
+    assert signs == [[1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]]
+    steep[0] = 1.5
+    assert [np.sign(d[:, -2:].mean(0)).tolist() for d in mirrored(symmetric, placed)] == [[1.0, -1.0]]
+    turned = np.where(np.arange(len(here)) == len(here) - 1, -1, 1)
+    told, other = (parameters(belief.fit, placed, draws)["toward_y"] for draws in (z, turned * z))
+    assert isinstance(told, finding.Quantity) and isinstance(other, finding.Quantity)
+    every = spanning({"toward_y": told}, [{}, {"toward_y": other}, {"toward_y": told}])["toward_y"]
+    assert isinstance(every, finding.Quantity)
+    assert every.interval == (other.interval[0], told.interval[1])
