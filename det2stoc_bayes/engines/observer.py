@@ -72,13 +72,16 @@ class Places:
             out[dof, 1] = sd[j]
         return out
 
-    def of_columns(self, spread: Float[np.ndarray, "... nv 2"], count: int) -> Float[np.ndarray, "... columns"]:
-        """What is known of coordinates, for the columns that show them; 1 for all others."""
-        out = np.ones((*spread.shape[:-2], count))
+    def of_columns(
+        self, spread: Float[np.ndarray, "... nv 2"], values: Float[np.ndarray, "... columns"]
+    ) -> Float[np.ndarray, "... columns"]:
+        """What is known of coordinates, for the columns that show them, as samples are; 1 for all others."""
+        out = np.ones(values.shape)
         for dof, j in self.straight:
             out[..., j] = spread[..., dof, 0]
         for dof, group in self.turns:
-            out[..., group] = spread[..., dof : dof + 3, 0].mean(-1, keepdims=True)
+            excess = spread[..., dof : dof + 3, 0] ** 2 - 1
+            out[..., group] = np.sqrt(1 + np.einsum("...jk,...k->...j", _turned_share(values[..., group]), excess))
         for dof, j in self.speeds:
             out[..., j] = spread[..., dof, 1]
         return out
@@ -117,12 +120,14 @@ def forgetting_gains(
     noise: Float[np.ndarray, "nv 2"],
     first_sd: Float[np.ndarray, "nv 2"],
     memory: float,
+    jolts: Float[np.ndarray, "segments samples nv"] | None = None,
 ) -> tuple[Gains, Float[np.ndarray, "segments samples nv 2"]]:
     """Gains of a Kalman filter for a free mass a coordinate, and the sd of its innovations in sds of the noise.
 
     The first sample's error is the prior. Its covariance is divided by 1 - 1/memory at every sample (exponential
     forgetting; Ljung 1999, sec. 11.2), so that what a model lacks does not add up for longer. Where nothing is
-    recorded nothing is corrected, nor forgotten.
+    recorded nothing is corrected, nor forgotten. By `jolts` the variance of a speed grows up to each sample, at some
+    time since the last one.
     """
     segments, samples, nv, _ = seen.shape
     gains, spread = np.zeros((segments, samples, nv, 2, 2)), np.ones((segments, samples, nv, 2))
@@ -133,6 +138,8 @@ def forgetting_gains(
         there = seen[:, j] & (dt > 0)[:, None, None]
         forget = np.where(there.any(-1), 1 - 1 / memory, 1.0)
         p = _carried(p, dt) / forget[..., None, None]
+        if jolts is not None:
+            p = p + jolts[:, j, :, None, None] * _since(dt)
         spread[:, j] = np.sqrt(1 + np.diagonal(p, axis1=-2, axis2=-1) / variance)
         for which in (0, 1):  # one after the other, as their noise is independent
             gain = p[..., which] * (there[..., which] / (p[..., which, which] + variance[:, which]))[..., None]
@@ -148,3 +155,19 @@ def _carried(p: Float[np.ndarray, "segments nv 2 2"], dt: Float[np.ndarray, " se
     f = np.tile(np.eye(2), (len(dt), 1, 1, 1))
     f[:, 0, 0, 1] = dt
     return f @ p @ np.swapaxes(f, -1, -2)
+
+
+def _since(dt: Float[np.ndarray, " segments"]) -> Float[np.ndarray, "segments 1 2 2"]:
+    """Covariance of position and speed after a jolt of unit variance at some time of an interval."""
+    out = np.ones((len(dt), 1, 2, 2))
+    out[:, 0, 0, 1] = out[:, 0, 1, 0] = dt / 2
+    out[:, 0, 0, 0] = dt**2 / 3
+    return out
+
+
+def _turned_share(q: Float[np.ndarray, "... 4"]) -> Float[np.ndarray, "... 4 3"]:
+    """Squared share that a turn about each of a body's axes has in each component; where none is recorded the mean."""
+    w, x, y, z = (q[..., k] / np.linalg.norm(q, axis=-1) for k in range(4))
+    rows = ((x, y, z), (w, z, y), (z, w, x), (y, x, w))  # of q * (0, angle) / 2, but for signs
+    share = np.stack([np.stack(row, -1) for row in rows], -2) ** 2
+    return np.where(np.isfinite(share), share, 0.25)

@@ -151,7 +151,7 @@ def fit_followed(
     fit = fit if like is None else _taught(fit, like)
     for _ in range(iterations):
         step = _step(fit, held)
-        found = _best(followed, np.stack([_within(fit, fit.z + f * step) for f in FRACTIONS]))
+        found = _best(followed, np.stack([within(fit, fit.z + f * step) for f in FRACTIONS]))
         gain, sizes, taught = fit.loss - found.loss, fit.differences[1], fit.known is not None
         fit = replace(found, sizes=sizes) if gain > 0 else replace(fit, sizes=sizes, known=None) if taught else fit
         if gain < SETTLED and not taught:
@@ -248,7 +248,7 @@ def _step(fit: ContactFit, held: Sequence[int]) -> np.ndarray:
     return step * min(1.0, LARGEST_STEP / max(np.abs(step).max(initial=0.0), 1e-12))
 
 
-def _within(fit: ContactFit, z: np.ndarray) -> np.ndarray:
+def within(fit: ContactFit, z: np.ndarray) -> np.ndarray:
     """Within the prior's digits, and where an effect's parameters may be."""
     psi = np.arange(len(z)) < fit.problem.num_psi
     return np.maximum(np.where(psi, np.clip(z, -FARTHEST, FARTHEST), z), fit.problem.floor)

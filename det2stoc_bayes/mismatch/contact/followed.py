@@ -14,7 +14,8 @@ from jaxtyping import Bool, Float, Int
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start, Trajectory
 from det2stoc_bayes.engines.observer import Observer
-from det2stoc_bayes.mismatch.contact.observers import make_observer, recorded_start
+from det2stoc_bayes.mismatch.contact.jolts import jolts
+from det2stoc_bayes.mismatch.contact.observers import make_observer, on_rows, recorded_start
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.problem import Problem, repeat_start
 from det2stoc_bayes.recording import Recording
@@ -22,6 +23,7 @@ from det2stoc_bayes.segments import cut
 
 BLOCK = 10  # samples that are counted together: their errors are not independent
 MEMORY = 6.0  # samples over which an error is remembered
+NUM_JOLTED = 2
 FARTHEST = 1e6  # noise sds at which the error of a diverged prediction is counted
 
 
@@ -32,14 +34,22 @@ class Followed:
     problem: Problem
     memory: float = MEMORY
     heard: Bool[np.ndarray, " columns"] | None = None  # columns that have a say; all where it is None
+    ground: tuple[Problem, Float[np.ndarray, " size"]] | None = None  # whose simulations say where contact jolts
 
     @cached_property
     def _made(self) -> tuple[Observer, Float[np.ndarray, "recordings samples columns"]]:
-        return make_observer(self.problem, self.memory)
+        made = make_observer(self.problem, self.memory)
+        if self.ground is None:
+            return made
+        problem = self.ground[0].on(self.problem.segments)
+        z = self.ground[0].carry(self.ground[1], problem)
+        for _ in range(NUM_JOLTED):  # after an impact that is made up for sooner, the next jolts less
+            made = make_observer(self.problem, self.memory, jolts(problem, made[0], z))
+        return made
 
     @property
     def observer(self) -> Observer:
-        """It depends on the samples and their noise alone: all hypotheses have the same."""
+        """It depends on the samples, their noise and the ground: all hypotheses have the same."""
         return self._made[0]
 
     @cached_property
@@ -144,7 +154,13 @@ class Followed:
         """Whether simulations are led and heard alike, so that sensitivities are the same."""
         mine, its = self.problem, other.problem
         alike = (mine.segments.key, mine.timestep, mine.integrator) == (its.segments.key, its.timestep, its.integrator)
-        return alike and self.memory == other.memory and self.heard is other.heard
+        return alike and self.memory == other.memory and self.heard is other.heard and self.ground is other.ground
+
+    def led_as(self, other: "Followed") -> "Followed":
+        """The same hypothesis and recordings, led and heard as others are."""
+        if (self.memory, id(self.heard), id(self.ground)) == (other.memory, id(other.heard), id(other.ground)):
+            return self
+        return replace(self, memory=other.memory, heard=other.heard, ground=other.ground)
 
     def with_problem(self, problem: Problem) -> "Followed":
         """The same recordings under another hypothesis."""
@@ -171,11 +187,15 @@ class Followed:
 
     def only(self, rows: Int[np.ndarray, " rows"]) -> "Followed":
         """Some of the recordings; unknowns of the others stay."""
-        problem = self.problem
-        whole, guess = problem.segments, problem.guess
-        each = {n: getattr(whole, n)[rows] for n in ("recording", "first", "time", "values")}
-        guess = replace(guess, start=guess.start[rows], prior_sd=guess.prior_sd[rows])
-        return replace(self, problem=replace(problem, segments=replace(whole, **each), guess=guess))
+        some = replace(self, problem=on_rows(self.problem, rows))
+        observer, spread = self._made
+        parts = {n: getattr(observer, n)[rows] for n in ("gains", "values", "seen")}
+        some.__dict__["_made"] = replace(observer, **parts), spread[rows]
+        return some
+
+    def grounded(self, z: Float[np.ndarray, " size"]) -> "Followed":
+        """The same, led with regard to where its simulations at these unknowns are jolted by contact."""
+        return replace(self, ground=(self.problem, z))
 
     def on(self, recordings: Sequence[Recording]) -> "Followed":
         """The same hypothesis on other recordings."""

@@ -1,7 +1,9 @@
 """The observer of a study's recordings: how much of each sample's error its simulated states take over."""
 
+from dataclasses import replace
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.engines.observer import Observer, Places, forgetting_gains
@@ -16,14 +18,24 @@ def recorded_start(problem: Problem) -> Start:
     return guess_starts(problem.simulator.model, problem.segments).start
 
 
-def make_observer(problem: Problem, memory: float) -> tuple[Observer, Float[np.ndarray, "recordings samples columns"]]:
+def on_rows(problem: Problem, rows: Int[np.ndarray, " rows"]) -> Problem:
+    """The hypothesis on some of its recordings, perhaps several times; unknowns of the others stay."""
+    whole, guess = problem.segments, problem.guess
+    each = {n: getattr(whole, n)[rows] for n in ("recording", "first", "time", "values")}
+    guess = replace(guess, start=guess.start[rows], prior_sd=guess.prior_sd[rows])
+    return replace(problem, segments=replace(whole, **each), guess=guess)
+
+
+def make_observer(
+    problem: Problem, memory: float, jolts: Float[np.ndarray, "recordings samples nv"] | None = None
+) -> tuple[Observer, Float[np.ndarray, "recordings samples columns"]]:
     """The observer, and what noise makes of the innovations, in sds of a sample's noise."""
     segments, model = problem.segments, problem.simulator.model
     places = Places(model, segments.columns)
     noise = places.noise(problem.noise)
     seen = places.seen(segments.observed)
-    gains, spread = forgetting_gains(segments.time, seen, noise, _first_sd(problem, noise), memory)
-    return Observer(gains, segments.values, seen), places.of_columns(spread, len(segments.columns))
+    gains, spread = forgetting_gains(segments.time, seen, noise, _first_sd(problem, noise), memory, jolts)
+    return Observer(gains, segments.values, seen), places.of_columns(spread, segments.values)
 
 
 def _first_sd(problem: Problem, noise: Float[np.ndarray, "nv 2"]) -> Float[np.ndarray, "nv 2"]:

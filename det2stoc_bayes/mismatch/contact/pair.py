@@ -60,7 +60,7 @@ def paired(fit: ContactFit, held: Followed) -> Pair:
     options = {"timestep": mine.timestep, "integrator": mine.integrator}
     problem = replace(held.problem, effects=mine.effects, spreads=mine.spreads, **options)
     z = mine.carry(fit.z, problem)
-    there = replace(held.with_problem(problem).remembering(fit.followed.memory), heard=fit.followed.heard)
+    there = held.with_problem(problem).led_as(fit.followed)
     own = set(problem.unknowns.owned.tolist())
     if not own:
         return Pair(fit, at(there, z, fit.scales))
@@ -75,6 +75,7 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
     Its memory is the one by which it foretells recordings best, of the columns that it tells at all.
     """
     fit = climbed(fit_followed(replace(followed, memory=MEMORIES[0]), iterations=SKETCH))
+    fit = climbed(fit_followed(fit.followed.grounded(fit.z), fit.z))
     fit = climbed(fit_followed(fit.followed.hearing(telling(fit)), fit.z))
     step = float(fit.problem.simulator.model.opt.timestep)
     other = fit_followed(fit.followed.integrated(step, "RK4"), fit.z, iterations=SKETCH)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
+from det2stoc_bayes.mismatch.contact.mimic import mimicking
 from det2stoc_bayes.mismatch.contact.pair import (
     SKETCH,
     Pair,
@@ -144,8 +145,22 @@ def near_remembered(base: Pair, found: Sequence[Pair], progress: Progress) -> li
     for k, rival in enumerate(rivals):
         progress("remembering longer", k, len(rivals))
         done.append(remembered(rival))
+    done = as_the_best(best_of_each(done))
     progress("remembering longer", 1, 1)
-    return best_of_each([*done, *found])
+    replaced = {p.placed for p in done}
+    return best_of_each([*done, *(p for p in found if p.placed not in replaced)])
+
+
+def as_the_best(pairs: Sequence[Pair]) -> list[Pair]:
+    """What can predict as the best does, where it does: equivalent effects would end nats apart, on other bumps."""
+    first, *others = pairs
+    out = [first]
+    for rival in others:
+        if rival.fit.followed.memory == first.fit.followed.memory:
+            same = paired(mimicking(rival.fit, first.fit), rival.held.followed)
+            rival = same if alike(same, first) else rival
+        out.append(rival)
+    return out
 
 
 def best_of_each(pairs: Sequence[Pair]) -> list[Pair]:
