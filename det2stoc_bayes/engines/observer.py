@@ -33,6 +33,14 @@ class Observer:
     drawn: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class ContactFlow:
+    """What contact does to variances up to each sample, of a free mass': a floor holds a body, an impact jolts it."""
+
+    kept: Float[np.ndarray, "segments samples nv 2"]  # share of (position, speed)
+    grown: Float[np.ndarray, "segments samples nv"]  # added to the speed's, SI units squared
+
+
 class Places:
     """Which columns are which coordinates of the state."""
 
@@ -120,14 +128,13 @@ def forgetting_gains(
     noise: Float[np.ndarray, "nv 2"],
     first_sd: Float[np.ndarray, "nv 2"],
     memory: float,
-    jolts: Float[np.ndarray, "segments samples nv"] | None = None,
+    contact: ContactFlow | None = None,
 ) -> tuple[Gains, Float[np.ndarray, "segments samples nv 2"]]:
     """Gains of a Kalman filter for a free mass a coordinate, and the sd of its innovations in sds of the noise.
 
     The first sample's error is the prior. Its covariance is divided by 1 - 1/memory at every sample (exponential
     forgetting; Ljung 1999, sec. 11.2), so that what a model lacks does not add up for longer. Where nothing is
-    recorded nothing is corrected, nor forgotten. By `jolts` the variance of a speed grows up to each sample, at some
-    time since the last one.
+    recorded nothing is corrected, nor forgotten. `contact` says what it does to variances between samples.
     """
     segments, samples, nv, _ = seen.shape
     gains, spread = np.zeros((segments, samples, nv, 2, 2)), np.ones((segments, samples, nv, 2))
@@ -138,8 +145,9 @@ def forgetting_gains(
         there = seen[:, j] & (dt > 0)[:, None, None]
         forget = np.where(there.any(-1), 1 - 1 / memory, 1.0)
         p = _carried(p, dt) / forget[..., None, None]
-        if jolts is not None:
-            p = p + jolts[:, j, :, None, None] * _since(dt)
+        if contact is not None:
+            share = np.sqrt(contact.kept[:, j])
+            p = share[..., :, None] * p * share[..., None, :] + contact.grown[:, j, :, None, None] * _since(dt)
         spread[:, j] = np.sqrt(1 + np.diagonal(p, axis1=-2, axis2=-1) / variance)
         for which in (0, 1):  # one after the other, as their noise is independent
             gain = p[..., which] * (there[..., which] / (p[..., which, which] + variance[:, which]))[..., None]

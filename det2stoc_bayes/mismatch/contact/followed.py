@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start, Trajectory
-from det2stoc_bayes.engines.observer import Observer
-from det2stoc_bayes.mismatch.contact.jolts import jolts
+from det2stoc_bayes.engines.observer import ContactFlow, Observer
+from det2stoc_bayes.mismatch.contact.flow import contact_flow
 from det2stoc_bayes.mismatch.contact.observers import make_observer, on_rows, recorded_start
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.problem import Problem, repeat_start
@@ -28,23 +28,35 @@ FARTHEST = 1e6  # noise sds at which the error of a diverged prediction is count
 
 
 @dataclass(frozen=True, eq=False)
+class Ground:
+    """A hypothesis at some unknowns, and what is believed of contact there: that it holds bodies, and how it jolts."""
+
+    problem: Problem
+    z: Float[np.ndarray, " size"]
+    holds: bool = False
+    share: float = 1.0  # of the jolts
+
+
+@dataclass(frozen=True, eq=False)
 class Followed:
     """A hypothesis on whole recordings, each of them followed with so long a memory (samples)."""
 
     problem: Problem
     memory: float = MEMORY
     heard: Bool[np.ndarray, " columns"] | None = None  # columns that have a say; all where it is None
-    ground: tuple[Problem, Float[np.ndarray, " size"]] | None = None  # whose simulations say where contact jolts
+    ground: Ground | None = None  # whose simulations say where contact jolts
 
     @cached_property
     def _made(self) -> tuple[Observer, Float[np.ndarray, "recordings samples columns"]]:
         made = make_observer(self.problem, self.memory)
         if self.ground is None:
             return made
-        problem = self.ground[0].on(self.problem.segments)
-        z = self.ground[0].carry(self.ground[1], problem)
+        problem = self.ground.problem.on(self.problem.segments)
+        z = self.ground.problem.carry(self.ground.z, problem)
         for _ in range(NUM_JOLTED):  # after an impact that is made up for sooner, the next jolts less
-            made = make_observer(self.problem, self.memory, jolts(problem, made[0], z))
+            flow = contact_flow(problem, made[0], z)
+            kept = flow.kept if self.ground.holds else np.ones_like(flow.kept)
+            made = make_observer(self.problem, self.memory, ContactFlow(kept, self.ground.share * flow.grown))
         return made
 
     @property
@@ -193,9 +205,9 @@ class Followed:
         some.__dict__["_made"] = replace(observer, **parts), spread[rows]
         return some
 
-    def grounded(self, z: Float[np.ndarray, " size"]) -> "Followed":
-        """The same, led with regard to where its simulations at these unknowns are jolted by contact."""
-        return replace(self, ground=(self.problem, z))
+    def grounded(self, z: Float[np.ndarray, " size"], holds: bool = False, share: float = 1.0) -> "Followed":
+        """The same, led with regard to what contact does to its simulations at these unknowns."""
+        return replace(self, ground=Ground(self.problem, z, holds, share))
 
     def on(self, recordings: Sequence[Recording]) -> "Followed":
         """The same hypothesis on other recordings."""

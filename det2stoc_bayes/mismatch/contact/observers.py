@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from det2stoc_bayes.engines.base import Start
-from det2stoc_bayes.engines.observer import Observer, Places, forgetting_gains
+from det2stoc_bayes.engines.observer import ContactFlow, Observer, Places, forgetting_gains
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.starts import guess_starts
 
@@ -27,14 +27,14 @@ def on_rows(problem: Problem, rows: Int[np.ndarray, " rows"]) -> Problem:
 
 
 def make_observer(
-    problem: Problem, memory: float, jolts: Float[np.ndarray, "recordings samples nv"] | None = None
+    problem: Problem, memory: float, contact: ContactFlow | None = None
 ) -> tuple[Observer, Float[np.ndarray, "recordings samples columns"]]:
     """The observer, and what noise makes of the innovations, in sds of a sample's noise."""
     segments, model = problem.segments, problem.simulator.model
     places = Places(model, segments.columns)
     noise = places.noise(problem.noise)
     seen = places.seen(segments.observed)
-    gains, spread = forgetting_gains(segments.time, seen, noise, _first_sd(problem, noise), memory, jolts)
+    gains, spread = forgetting_gains(segments.time, seen, noise, _first_sd(problem, noise), memory, contact)
     return Observer(gains, segments.values, seen), places.of_columns(spread, segments.values)
 
 

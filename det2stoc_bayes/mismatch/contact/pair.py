@@ -15,6 +15,7 @@ from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import log_det
 
 MEMORIES = (3.0, 6.0, 12.0, 25.0, 50.0, 200.0)  # samples
+REGARDS = ((False, 1.0), (True, 1.0), (True, 0.1))  # whether contact holds bodies, and the share of its jolts
 SKETCH = 3  # iterations of what was screened
 FAR = 1.5  # prior sds of some psi beyond which what is missing has led it there, and a small step of it does nothing
 FINER_CERTAIN = 2.0  # standard errors by which a finer integration must tell recordings better
@@ -75,12 +76,22 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
     Its memory is the one by which it foretells recordings best, of the columns that it tells at all.
     """
     fit = climbed(fit_followed(replace(followed, memory=MEMORIES[0]), iterations=SKETCH))
-    fit = climbed(fit_followed(fit.followed.grounded(fit.z), fit.z))
+    fit = grounded(fit)
     fit = climbed(fit_followed(fit.followed.hearing(telling(fit)), fit.z))
     step = float(fit.problem.simulator.model.opt.timestep)
     other = fit_followed(fit.followed.integrated(step, "RK4"), fit.z, iterations=SKETCH)
     finer = certainty(fit.losses - other.losses, followed.recording) >= FINER_CERTAIN
     return paired(climbed(fit_followed(other.followed, other.z)) if finer else fit, held), finer
+
+
+def grounded(fit: ContactFit) -> ContactFit:
+    """The same hypothesis, led with such regard to contact as tells recordings best.
+
+    What slides is held by its floor and jolted little, though noise that is drawn anew throws simulations of it out of
+    the floor; where something is missing, what holds a simulation may not hold the body.
+    """
+    fits = [climbed(fit_followed(fit.followed.grounded(fit.z, *way), fit.z)) for way in REGARDS]
+    return min((fit, *fits), key=lambda f: f.loss)
 
 
 def climbed(fit: ContactFit) -> ContactFit:

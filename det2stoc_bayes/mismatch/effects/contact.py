@@ -159,6 +159,9 @@ class RollingFriction(TurningFriction):
     part, directions, share = 2, 6, 0.1
 
 
+RATIOS = (1.1, 2.0, 1 / 1.5)  # of solref's numbers that are tried
+
+
 class SolrefEffect(ContactEffect):
     """Base of another number of solref: its parameter is the number itself, so that no value stands for absence."""
 
@@ -170,13 +173,15 @@ class SolrefEffect(ContactEffect):
         return {self.parameters[0].name: around(abs(typical.solref[self.place]), 0.5)}
 
     def trials(self, typical):
-        """A little more than is believed."""
-        return [Trial(({self.parameters[0].name: abs(typical.solref[self.place]) * 1.1},), sd=1.0)]
+        """A little more than is believed, and much more or less: contact makes a little's difference rough."""
+        name, believed = self.parameters[0].name, abs(typical.solref[self.place])
+        return [Trial(({name: believed * ratio},), sd=min(0.5 / abs(np.log(ratio)), 1.0)) for ratio in RATIOS]
 
     def combine(self, trial, coefficients, typical):
         """The same in proportion."""
-        believed = abs(typical.solref[self.place])
-        return {self.parameters[0].name: believed * float(np.exp(np.clip(0.1 * coefficients[0], -1.5, 1.5)))}
+        name, believed = self.parameters[0].name, abs(typical.solref[self.place])
+        step = np.log(float(trial.columns[0][name]) / believed)
+        return {name: believed * float(np.exp(np.clip(step * coefficients[0], -1.5, 1.5)))}
 
 
 class ContactStiffness(SolrefEffect):

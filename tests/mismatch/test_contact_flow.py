@@ -1,4 +1,4 @@
-"""A thrown box: where its impacts make speeds uncertain, and what that does to the likelihood of a model."""
+"""A thrown box: what contact does to the uncertainty of its state, and what that does to the likelihood of a model."""
 
 import mujoco
 import numpy as np
@@ -7,8 +7,8 @@ from conftest import make_study
 
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.fit import at
+from det2stoc_bayes.mismatch.contact.flow import contact_flow
 from det2stoc_bayes.mismatch.contact.followed import Followed
-from det2stoc_bayes.mismatch.contact.jolts import jolts
 from det2stoc_bayes.mismatch.contact.mimic import mimicking
 from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.search import alike, as_the_best
@@ -63,13 +63,16 @@ def problem(tmp_path_factory):
 
 def test_a_free_flight_jolts_nothing_and_an_impact_does(problem):
     followed = Followed(problem, 25.0)
-    found = jolts(problem, followed.observer, np.zeros(1))
+    flow = contact_flow(problem, followed.observer, np.zeros(1))
+    found = flow.grown
     low = problem.segments.values[..., 2] < 0.11
     first = np.argmax(low, axis=1)
     for r, j in enumerate(first):
         size = found[r].max()
         assert found[r, 2 : j - 1].max() < 1e-3 * size  # measured: 1e-4, of gyroscopic motion
         assert found[r, j - 1 : j + 12].max() > 10 * found[r, 2 : j - 1].max()
+        assert flow.kept[r, 2 : j - 1, :3].min() > 0.999  # of places and speeds in free flight
+        assert np.median(flow.kept[r, j + 12 :, 2].min(-1)) < 0.9  # the floor holds heights
 
 
 def test_noise_is_foretold_after_impacts_too(problem):
