@@ -75,6 +75,23 @@ def test_a_free_flight_jolts_nothing_and_an_impact_does(problem):
         assert np.median(flow.kept[r, j + 12 :, 2].min(-1)) < 0.9  # the floor holds heights
 
 
+def test_members_that_diverge_are_left_out(problem, monkeypatch):
+    followed = Followed(problem, 25.0)
+    engine, whole = problem.simulator.engine, contact_flow(problem, followed.observer, np.zeros(1))
+
+    def spoilt(request):
+        path = type(engine).trajectory(engine, request)
+        path.columns[len(problem.segments.time)] = np.nan  # the second member on the first recording
+        path.qvel[len(problem.segments.time)] = 1e9
+        return path
+
+    monkeypatch.setattr(engine, "trajectory", spoilt)
+    flow = contact_flow(problem, followed.observer, np.zeros(1))
+    np.testing.assert_array_equal(flow.grown[1:], whole.grown[1:])
+    ratio = flow.grown[0].sum() / whole.grown[0].sum()
+    assert ratio != 1 and 0.3 < ratio < 3 and np.isfinite(flow.kept).all()
+
+
 def test_noise_is_foretold_after_impacts_too(problem):
     plain = Followed(problem, 25.0)
     led = plain.grounded(np.zeros(1))

@@ -19,9 +19,25 @@ SEED = 5
 
 
 def contact_flow(problem: Problem, observer: Observer, z: Float[np.ndarray, " size"]) -> ContactFlow:
-    """What contact does to the variances of positions and speeds up to each sample, by members led with noise anew."""
-    count, time = problem.segments.count, problem.segments.time
-    rows = np.tile(np.arange(count), MEMBERS)
+    """What contact does to the variances of positions and speeds up to each sample, at a hypothesis' unknowns."""
+    free, foretold = (_variance(x, problem.segments.count) for x in _members(problem, observer, z))
+    kept = np.ones((len(free), problem.segments.time.shape[1], *free.shape[2:]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        kept[:, 1:] = np.where(foretold < free, foretold / free, 1.0)
+    kept[..., 0] = np.where(observer.seen[..., 0], kept[..., 0], 1.0)
+    grown = np.zeros(kept.shape[:-1])
+    grown[:, 1:] = np.maximum(foretold[..., 1] - free[..., 1], 0.0)
+    return ContactFlow(kept, grown)
+
+
+def _members(
+    problem: Problem, observer: Observer, z: Float[np.ndarray, " size"]
+) -> tuple[Float[np.ndarray, "rows intervals nv 2"], Float[np.ndarray, "rows intervals nv 2"]]:
+    """Places, beside the first member's, and speeds at each sample of members led with noise anew.
+
+    First as a free motion from the sample before would have them, then as simulated; NaN of what diverged.
+    """
+    rows = np.tile(np.arange(problem.segments.count), MEMBERS)
     many = on_rows(problem, rows)
     noise = problem.noise * np.random.default_rng(SEED).standard_normal(many.segments.values.shape)
     members = Observer(observer.gains[rows], observer.values[rows] + noise, observer.seen[rows])
@@ -33,16 +49,19 @@ def contact_flow(problem: Problem, observer: Observer, z: Float[np.ndarray, " si
         return np.where(members.seen, e, 0.0)
 
     change = np.einsum("rsvij,rsvj->rsvi", members.gains, apart(members.values))
-    place = -apart(path.columns[:count][np.tile(np.arange(count), MEMBERS)])[..., 0]  # beside the first member's
-    led = np.stack([place + change[..., 0], path.qvel], -1)
-    free = led[:, :-1].copy()
-    free[..., 0] += np.diff(time, axis=1)[rows][..., None] * free[..., 1]
+    place = -apart(path.columns[rows])[..., 0]
+    free = np.stack([place + change[..., 0], path.qvel], -1)[:, :-1]
+    free[..., 0] += np.diff(many.segments.time, axis=1)[..., None] * free[..., 1]
     foretold = np.stack([place, path.qvel - change[..., 1]], -1)[:, 1:]
-    before, after = (np.nan_to_num(x.reshape(MEMBERS, count, *x.shape[1:]).var(0, ddof=1)) for x in (free, foretold))
-    kept = np.ones((count, *path.qvel.shape[1:], 2))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        kept[:, 1:] = np.where((before > 0) & (after < before), after / before, 1.0)
-    kept[..., 0] = np.where(observer.seen[..., 0], kept[..., 0], 1.0)
-    grown = np.zeros(kept.shape[:-1])
-    grown[:, 1:] = np.maximum(after[..., 1] - before[..., 1], 0.0)
-    return ContactFlow(kept, grown)
+    diverged = ~np.isfinite(path.columns).all((1, 2))
+    free[diverged], foretold[diverged] = np.nan, np.nan
+    return free, foretold
+
+
+def _variance(rows: Float[np.ndarray, "rows *rest"], count: int) -> Float[np.ndarray, "recordings *rest"]:
+    """Over members, of each recording; 0 where fewer than two did not diverge."""
+    members = rows.reshape(MEMBERS, count, *rows.shape[1:])
+    there = np.isfinite(members)
+    number, values = there.sum(0), np.where(there, members, 0.0)
+    square = np.where(there, (values - values.sum(0) / np.maximum(number, 1)) ** 2, 0.0).sum(0)
+    return np.where(number > 1, square / np.maximum(number - 1, 1), 0.0)

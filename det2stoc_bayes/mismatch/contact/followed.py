@@ -23,7 +23,7 @@ from det2stoc_bayes.segments import cut
 
 BLOCK = 10  # samples that are counted together: their errors are not independent
 MEMORY = 6.0  # samples over which an error is remembered
-NUM_JOLTED = 2
+NUM_FLOWS = 2  # rounds in which gains and what contact does to uncertainty settle
 FARTHEST = 1e6  # noise sds at which the error of a diverged prediction is counted
 
 
@@ -44,7 +44,7 @@ class Followed:
     problem: Problem
     memory: float = MEMORY
     heard: Bool[np.ndarray, " columns"] | None = None  # columns that have a say; all where it is None
-    ground: Ground | None = None  # whose simulations say where contact jolts
+    ground: Ground | None = None  # whose simulations say what contact does to uncertainty
 
     @cached_property
     def _made(self) -> tuple[Observer, Float[np.ndarray, "recordings samples columns"]]:
@@ -53,7 +53,7 @@ class Followed:
             return made
         problem = self.ground.problem.on(self.problem.segments)
         z = self.ground.problem.carry(self.ground.z, problem)
-        for _ in range(NUM_JOLTED):  # after an impact that is made up for sooner, the next jolts less
+        for _ in range(NUM_FLOWS):  # after an impact that is made up for sooner, the next jolts less
             flow = contact_flow(problem, made[0], z)
             kept = flow.kept if self.ground.holds else np.ones_like(flow.kept)
             made = make_observer(self.problem, self.memory, ContactFlow(kept, self.ground.share * flow.grown))
