@@ -5,17 +5,45 @@ as long as its memory lasts. Simulations that are led along the same recording w
 their spread is the uncertainty that an ensemble Kalman filter would have there (Evensen, 2009, ch. 4).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.observer import ContactFlow, Observer, Places
-from det2stoc_bayes.mismatch.contact.observers import on_rows, recorded_start
+from det2stoc_bayes.mismatch.contact.observers import make_observer, on_rows, recorded_start
 from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.segments import Segments
 
 MEMBERS = 16
 SEED = 5
+NUM_ROUNDS = 2  # in which gains and what contact does to uncertainty settle: what is made up for sooner jolts less
+Made = tuple[Observer, Float[np.ndarray, "recordings samples columns"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A hypothesis at some unknowns, and what is believed of contact there: that it holds bodies, and how it jolts."""
+
+    problem: Problem
+    z: Float[np.ndarray, " size"]
+    holds: bool = False
+    share: float = 1.0  # of the jolts
+    made: dict[tuple[int, float], tuple[Segments, Made]] = field(default_factory=dict)  # by segments and memory
+
+    def observer(self, segments: Segments, memory: float) -> Made:
+        """The observer of some recordings, as `make_observer` has it, found once for all hypotheses."""
+        key = id(segments), memory
+        if key not in self.made:
+            problem = self.problem.on(segments)
+            z = self.problem.carry(self.z, problem)
+            made = make_observer(problem, memory)
+            for _ in range(NUM_ROUNDS):
+                flow = contact_flow(problem, made[0], z)
+                kept = flow.kept if self.holds else np.ones_like(flow.kept)
+                made = make_observer(problem, memory, ContactFlow(kept, self.share * flow.grown))
+            self.made[key] = segments, made
+        return self.made[key][1]
 
 
 def contact_flow(problem: Problem, observer: Observer, z: Float[np.ndarray, " size"]) -> ContactFlow:

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from det2stoc_bayes.engines.base import EffectRows, Request, Start, Trajectory
-from det2stoc_bayes.engines.observer import ContactFlow, Observer
-from det2stoc_bayes.mismatch.contact.flow import contact_flow
+from det2stoc_bayes.engines.observer import Observer
+from det2stoc_bayes.mismatch.contact.flow import Ground
 from det2stoc_bayes.mismatch.contact.observers import make_observer, on_rows, recorded_start
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.problem import Problem, repeat_start
@@ -23,18 +23,7 @@ from det2stoc_bayes.segments import cut
 
 BLOCK = 10  # samples that are counted together: their errors are not independent
 MEMORY = 6.0  # samples over which an error is remembered
-NUM_FLOWS = 2  # rounds in which gains and what contact does to uncertainty settle
 FARTHEST = 1e6  # noise sds at which the error of a diverged prediction is counted
-
-
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """A hypothesis at some unknowns, and what is believed of contact there: that it holds bodies, and how it jolts."""
-
-    problem: Problem
-    z: Float[np.ndarray, " size"]
-    holds: bool = False
-    share: float = 1.0  # of the jolts
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +37,9 @@ class Followed:
 
     @cached_property
     def _made(self) -> tuple[Observer, Float[np.ndarray, "recordings samples columns"]]:
-        made = make_observer(self.problem, self.memory)
         if self.ground is None:
-            return made
-        problem = self.ground.problem.on(self.problem.segments)
-        z = self.ground.problem.carry(self.ground.z, problem)
-        for _ in range(NUM_FLOWS):  # after an impact that is made up for sooner, the next jolts less
-            flow = contact_flow(problem, made[0], z)
-            kept = flow.kept if self.ground.holds else np.ones_like(flow.kept)
-            made = make_observer(self.problem, self.memory, ContactFlow(kept, self.ground.share * flow.grown))
-        return made
+            return make_observer(self.problem, self.memory)
+        return self.ground.observer(self.problem.segments, self.memory)
 
     @property
     def observer(self) -> Observer:

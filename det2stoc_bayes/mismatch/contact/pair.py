@@ -90,7 +90,7 @@ def grounded(fit: ContactFit) -> ContactFit:
     What slides is held by its floor and jolted little, though noise that is drawn anew throws simulations of it out of
     the floor; where something is missing, what holds a simulation may not hold the body.
     """
-    fits = [climbed(fit_followed(fit.followed.grounded(fit.z, *way), fit.z)) for way in REGARDS]
+    fits = [climbed(fit_followed(fit.followed.grounded(fit.z, *way), fit.z, like=fit)) for way in REGARDS]
     return min((fit, *fits), key=lambda f: f.loss)
 
 
