@@ -105,10 +105,11 @@ def _fit_held(
         moved, over = _descended(todo, tolerance, free_scale)
         linear |= moved | _again({i: lin for i, lin in moved.items() if not over[i]})
         # What keeps promising more than it gives, as friction does about rest, will not give more.
-        gained = {i: _gained(lin, moved[i], free_scale) for i, lin in todo.items()}
-        for i, lin in todo.items():
-            poor[i] = poor[i] + 1 if gained[i] < POOR * newton_step(lin, free_scale).gain else 0
-        ended = [i for i in todo if over[i] or gained[i] < tolerance or poor[i] == PATIENCE]
+        ended = [i for i, lin in todo.items() if over[i] or _gained(lin, moved[i], free_scale) < tolerance]
+        for i in todo.keys() - ended:
+            promised = newton_step(todo[i], free_scale).gain
+            poor[i] = poor[i] + 1 if _gained(todo[i], moved[i], free_scale) < POOR * promised else 0
+            ended += [i] if poor[i] == PATIENCE else []
         left = {i: newton_step(linear[i], free_scale).gain for i in ended}
         ends |= {i: "converged" if gain < tolerance else "stalled" for i, gain in left.items()}
     return [summarize(linear[i], free_scale, ends[i]) if i in linear else None for i in range(len(points))]

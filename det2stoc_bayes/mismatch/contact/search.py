@@ -157,7 +157,8 @@ def as_the_best(pairs: Sequence[Pair]) -> list[Pair]:
     out = [first]
     for rival in others:
         if rival.fit.followed.memory == first.fit.followed.memory:
-            same = paired(mimicking(rival.fit, first.fit), rival.held.followed)
+            near = mimicking(rival.fit, first.fit)
+            same = rival if near is rival.fit else paired(near, rival.held.followed)
             rival = same if alike(same, first) else rival
         out.append(rival)
     return out

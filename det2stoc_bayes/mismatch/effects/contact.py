@@ -14,6 +14,7 @@ GEOM = ("geom_friction", "geom_solref", "geom_solimp", "geom_condim", "geom_prio
 PAIR = ("pair_friction", "pair_solref", "pair_dim")
 MIXED = ("geom_solmix",)
 LEAST = 1e-5  # as MuJoCo has it: a friction of 0 is none
+RATIOS, SPREAD = (1.1, 2.0, 1 / 1.5), 0.5  # of solref's numbers: those that are tried, and the sd of their logarithm
 
 
 class ContactEffect(Effect):
@@ -159,9 +160,6 @@ class RollingFriction(TurningFriction):
     part, directions, share = 2, 6, 0.1
 
 
-RATIOS = (1.1, 2.0, 1 / 1.5)  # of solref's numbers that are tried
-
-
 class SolrefEffect(ContactEffect):
     """Base of another number of solref: its parameter is the number itself, so that no value stands for absence."""
 
@@ -170,12 +168,12 @@ class SolrefEffect(ContactEffect):
 
     def priors(self, typical):
         """About what is believed."""
-        return {self.parameters[0].name: around(abs(typical.solref[self.place]), 0.5)}
+        return {self.parameters[0].name: around(abs(typical.solref[self.place]), SPREAD)}
 
     def trials(self, typical):
         """A little more than is believed, and much more or less: contact makes a little's difference rough."""
         name, believed = self.parameters[0].name, abs(typical.solref[self.place])
-        return [Trial(({name: believed * ratio},), sd=min(0.5 / abs(np.log(ratio)), 1.0)) for ratio in RATIOS]
+        return [Trial(({name: believed * ratio},), sd=min(SPREAD / abs(np.log(ratio)), 1.0)) for ratio in RATIOS]
 
     def combine(self, trial, coefficients, typical):
         """The same in proportion."""
