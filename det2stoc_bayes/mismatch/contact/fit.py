@@ -133,6 +133,12 @@ def at(followed: Followed, z: Float[np.ndarray, " size"], scales: Scales | None 
     return ContactFit(followed, z, errors, scales_of(errors) if scales is None else scales)
 
 
+def losses_at(fit: ContactFit, z: Float[np.ndarray, "variants size"]) -> Float[np.ndarray, " variants"]:
+    """The loss of a fit's hypothesis at other unknowns, each under its own scales."""
+    told = [scales_of(e).losses(e).sum() for e in fit.followed.errors(z)]
+    return np.array(told) + fit.followed.volumes.sum() + 0.5 * (z**2).sum(1)
+
+
 def fit_followed(
     followed: Followed,
     z: Float[np.ndarray, " size"] | None = None,

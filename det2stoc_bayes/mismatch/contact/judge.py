@@ -108,7 +108,7 @@ def _level(pair: Pair, reference: Scales) -> float:
 def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
     """What could stand in a place, in classes that no sample tells apart, most probable first; the one taken leads."""
     pairs = list(one.refined)
-    chance = chances(pairs, random)
+    chance = chances(pairs, random, one.luck)
     left = sorted(range(len(pairs)), key=lambda i: -chance[i])
     found = []
     while left:

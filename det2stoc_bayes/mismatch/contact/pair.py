@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.mismatch.contact.regions import bordered
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise
 from det2stoc_bayes.mismatch.contact.telling import telling
@@ -96,14 +97,22 @@ def grounded(fit: ContactFit) -> ContactFit:
 
 def climbed(fit: ContactFit) -> ContactFit:
     """The same hypothesis with the memory by which it foretells recordings best; what is missing adds up over more."""
-    for memory in MEMORIES:
-        if memory <= fit.followed.memory:
-            continue
-        longer = fit_followed(fit.followed.remembering(memory), fit.z, like=fit)
-        if longer.loss > fit.loss:
-            break
+    while (longer := longer_by_one(fit)) is not None and longer.loss <= fit.loss:
         fit = longer
     return fit
+
+
+def longer_by_one(fit: ContactFit) -> ContactFit | None:
+    """The same hypothesis fitted with that longer memory which serves it best as it is, or else with the next one.
+
+    None where it has the longest.
+    """
+    tried = [at(fit.followed.remembering(m), fit.z) for m in MEMORIES if m > fit.followed.memory]
+    if not tried:
+        return None
+    best = min(tried, key=lambda f: f.loss)
+    start = best if best.loss < fit.loss else tried[0]
+    return fit_followed(start.followed, start.z, like=fit)
 
 
 def nearer(fit: ContactFit) -> ContactFit:
@@ -122,16 +131,32 @@ def sketched(base: ContactFit, promise: Promise, iterations: int = SKETCH) -> Co
     return fit_followed(base.followed.with_problem(more), first, others=others, iterations=iterations, like=base)
 
 
-def finished(sketch: ContactFit, base: ContactFit) -> ContactFit:
+def finished(sketch: ContactFit, base: Pair) -> Pair:
     """What was sketched on some of a base's recordings, fitted to all of them."""
-    problem = base.problem.with_effects(sketch.problem.effects)
-    return fit_followed(base.followed.with_problem(problem), sketch.z, like=sketch)
+    problem = base.fit.problem.with_effects(sketch.problem.effects)
+    followed = base.fit.followed.with_problem(problem)
+    return best_bordered(paired(fit_followed(followed, sketch.z, like=sketch), base.held.followed))
+
+
+def best_bordered(pair: Pair) -> Pair:
+    """The same hypothesis, the region of its last effect, if it has one, where all recordings are told best."""
+    other = bordered(pair.fit)
+    return pair if other is pair.fit else min((pair, paired(other, pair.held.followed)), key=lambda p: p.height)
 
 
 def remembered(pair: Pair) -> Pair:
     """The same hypothesis `climbed`."""
     best = climbed(pair.fit)
     return pair if best is pair.fit else paired(best, pair.held.followed)
+
+
+def remembering_more(pair: Pair) -> Pair | None:
+    """The same hypothesis with the next memory; None where that does not serve it."""
+    longer = longer_by_one(pair.fit)
+    if longer is None:
+        return None
+    more = best_bordered(paired(longer, pair.held.followed))
+    return more if min(more.height - pair.height, more.fit.loss - pair.fit.loss) <= 0 else None
 
 
 def with_memory(pair: Pair, memory: float) -> Pair:

@@ -26,12 +26,16 @@ class Scales:
         """That of one column."""
         return Scales(self.values[[column]])
 
-    def losses(self, errors: Float[np.ndarray, "blocks samples columns"]) -> Float[np.ndarray, " blocks"]:
-        """-log likelihood of each block, up to a constant."""
+    def each(self, errors: Float[np.ndarray, "blocks samples columns"]) -> Float[np.ndarray, "blocks samples columns"]:
+        """-log likelihood of each error, up to a constant; 0 where nothing was recorded."""
         u = errors / self.values
         with np.errstate(divide="ignore", invalid="ignore"):
             each = np.log(self.values) + 0.5 * (DEGREES + 1) * np.log1p(u * u / DEGREES)
-        return np.where(np.isfinite(errors), each, 0.0).sum((1, 2))
+        return np.where(np.isfinite(errors), each, 0.0)
+
+    def losses(self, errors: Float[np.ndarray, "blocks samples columns"]) -> Float[np.ndarray, " blocks"]:
+        """-log likelihood of each block, up to a constant."""
+        return self.each(errors).sum((1, 2))
 
     def weights(
         self, errors: Float[np.ndarray, "blocks samples columns"]

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, steady
 from det2stoc_bayes.mismatch.contact.followed import FARTHEST
+from det2stoc_bayes.mismatch.contact.regions import likeliest_border
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
 
 SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
@@ -40,12 +41,20 @@ def screen(
     share = fit.problem.segments.count / few.problem.segments.count
     out = []
     for placed in pool:
-        found = _judged(few, placed, _sifted(one, few, placed))
+        found = [replace(p, gain=share * p.gain) for p in _judged(few, placed, _sifted(one, few, placed))]
+        found = [*_bordered(fit, placed), *found]
         advance(1)
         if found:
-            found = [replace(p, gain=share * p.gain) for p in found]
             out.append(replace(found[0], others=tuple(found[1:])))
     return sorted(out, key=lambda p: -p.gain)
+
+
+def _bordered(fit: ContactFit, placed: PlacedEffect) -> list[Promise]:
+    """What an effect that has a region promises, psi staying."""
+    border = likeliest_border(fit, placed)
+    if border is None:
+        return []
+    return [Promise(placed, border.gain, border.values, np.zeros(len(fit.z)))]
 
 
 def told_worst(fit: ContactFit) -> Int[np.ndarray, " recordings"]:
@@ -57,7 +66,7 @@ def told_worst(fit: ContactFit) -> Int[np.ndarray, " recordings"]:
 def some(fit: ContactFit) -> ContactFit:
     """The fit on those recordings that are looked at first."""
     order = told_worst(fit)
-    return fit.only(np.sort(order[: -(-len(order) // SOME)]))
+    return fit.only(np.sort(order[::SOME]))
 
 
 def _sifted(one: ContactFit, few: ContactFit, placed: PlacedEffect) -> list[tuple[Trial, float]]:

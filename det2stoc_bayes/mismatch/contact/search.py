@@ -1,7 +1,7 @@
 """Additions to the believed model, judged by recordings that were not fitted: what is named must tell those better."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
@@ -10,18 +10,22 @@ from jaxtyping import Bool, Float
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.mimic import mimicking
 from det2stoc_bayes.mismatch.contact.pair import (
+    MEMORIES,
     SKETCH,
     Pair,
     finished,
     nearer,
     paired,
     remembered,
+    remembering_more,
     sketched,
     without_last,
 )
+from det2stoc_bayes.mismatch.contact.polish import BUMPY, polished
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise, screen, some
+from det2stoc_bayes.mismatch.contact.top import bumps
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.shortlist import shortlist
@@ -32,12 +36,12 @@ ALSO = 0.3  # of what an effect's best trial promises: what another of them must
 BEGUN, DRAWN = 0.2, 0.4  # of the best's gain: who has less after a first step, or a sketch, goes no further
 LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less is not fitted
 MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
-NEAR, LEAST_NEAR = 0.05, 30.0  # share of the best's gain, and nats, behind which none comes near any more
+NEAR, LEAST_NEAR = 0.3, 30.0  # share of the best's gain, and nats, behind which none comes near any more
 LEAST_CERTAIN = 3.0  # standard errors of the gain over blocks: of those fitted
 HELD_GAIN = 3.0  # nats of it on recordings held out
 TIMES = 3.0  # what chance gains at most
 NUM_CHANCES = 3  # data sets that the base itself makes
-LUCK = 2.0  # nats by which fits of the same hypothesis differ
+LUCK = 2.0  # nats by which fits of the same hypothesis differ where the likelihood has no bumps
 MAX_EFFECTS = 3
 LOOK_AGAIN = 30.0  # nats of a leader, whose rivals are looked for once more where it ended
 LEAST_BLOCKS = 8  # that are held out, or nothing is decided by them
@@ -52,6 +56,7 @@ class Round:
     screened: tuple[Promise, ...]
     refined: tuple[Pair, ...]
     taken: Pair | None
+    luck: float = LUCK  # nats by which fits of the same hypothesis differ
 
 
 def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int = 0) -> Round:
@@ -70,11 +75,11 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
         again = refined(base, there, [s for s in again if s.gain > least], progress)
         found = best_of_each([*found, *again])
     found = near_remembered(base, found, progress)
-    base = better_base(base, found)
+    base, found, luck = smoothed(better_base(base, found), found, progress, seed)
     rivals = [p.placed for p in found]
     chance = cache(lambda: gain_by_chance(base, rivals, seed, progress))  # which takes long, and is seldom asked for
     taken = found[0] if found and earns(base, found[0], threshold(len(others)), chance) else None
-    return Round(base, tuple(screened), tuple(found), taken)
+    return Round(base, tuple(screened), tuple(found), taken, luck)
 
 
 def better_base(base: Pair, found: Sequence[Pair]) -> Pair:
@@ -103,7 +108,7 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progres
     """
     worth = shortlist(screened, NUM_SKETCHED)
     worth += [o for s in worth[:3] for o in s.others if o.gain > ALSO * s.gain]
-    few = some(ground)
+    few, on = some(ground), replace(base, fit=ground)
     bare = at(few.followed, few.z).loss
     tell = partial(_in_turn, progress=progress, total=2 * len(worth) + NUM_REFINED)
     begun = in_reach(tell(lambda p: sketched(few, p, iterations=1), worth, 0), bare, BEGUN)
@@ -113,7 +118,7 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progres
     best = {s.problem.effects[-1]: s for s in reversed(sketches)}
     chosen = sorted(best.values(), key=lambda f: f.loss)[:NUM_REFINED]
     chosen += [s for s in sketches if s.problem.effects == chosen[0].problem.effects and s is not chosen[0]]
-    pairs = tell(lambda f: paired(finished(f, ground), base.held.followed), chosen, 2 * len(worth))
+    pairs = tell(lambda f: finished(f, on), chosen, 2 * len(worth))
     progress("refining the best", 1, 1)
     return best_of_each(pairs)
 
@@ -136,19 +141,44 @@ def _in_turn[T, S](
 
 
 def near_remembered(base: Pair, found: Sequence[Pair], progress: Progress) -> list[Pair]:
-    """Best first, the best and those near it each with the memory that serves it best."""
-    if not found:
-        return []
-    near = found[0].height + max(NEAR * found[0].gain(base), LEAST_NEAR)
-    rivals = [p for p in found if p.height <= near]
-    done = []
-    for k, rival in enumerate(rivals):
-        progress("remembering longer", k, len(rivals))
-        done.append(remembered(rival))
-    done = as_the_best(best_of_each(done))
+    """Best first, those that come near the best each with the memory that serves it best.
+
+    A short memory forgives what is wrong: with a longer one the right effect gains most. Memories grow in turn, and who
+    falls behind stays there.
+    """
+    best = {p.placed: p for p in found}
+    racing = list(found)
+    for k in range(len(MEMORIES)):
+        top = min(best.values(), key=lambda p: p.height, default=None)
+        if top is None or not racing:
+            break
+        progress("remembering longer", k, len(MEMORIES))
+        least = top.height + max(NEAR * top.gain(base), LEAST_NEAR)
+        longer = [remembering_more(p) for p in racing if p.height <= least]
+        racing = [p for p in longer if p is not None]
+        best |= {p.placed: p for p in racing if p.height < best[p.placed].height}
     progress("remembering longer", 1, 1)
-    replaced = {p.placed for p in done}
-    return best_of_each([*done, *(p for p in found if p.placed not in replaced)])
+    least = min((p.height for p in best.values()), default=0.0) + LEAST_NEAR
+    near = best_of_each([p for p in best.values() if p.height <= least])
+    return best_of_each([*(as_the_best(near) if near else []), *(p for p in best.values() if p not in near)])
+
+
+def smoothed(base: Pair, found: Sequence[Pair], progress: Progress, seed: int) -> tuple[Pair, list[Pair], float]:
+    """Base and those near the best beyond their nearest bumps, best first, and how high these are, nats."""
+    if not found:
+        return base, [], LUCK
+    bumpy = max(LUCK, bumps(found[0].fit, np.random.default_rng([seed, 5])))
+    if bumpy < BUMPY:
+        return base, list(found), bumpy
+    least = found[0].height + max(NEAR * found[0].gain(base), LEAST_NEAR)
+    near = [p for p in found if p.height <= least]
+    done = []
+    for k, pair in enumerate([base, *near]):
+        progress("polishing", k, 1 + len(near))
+        fit = polished(pair.fit)
+        done.append(pair if fit is pair.fit else paired(fit, pair.held.followed))
+    progress("polishing", 1, 1)
+    return done[0], best_of_each([*done[1:], *(p for p in found if p not in near)]), bumpy
 
 
 def as_the_best(pairs: Sequence[Pair]) -> list[Pair]:
@@ -202,16 +232,18 @@ def gain_by_chance(base: Pair, rivals: Sequence[PlacedEffect], seed: int, progre
     return best
 
 
-def chances(pairs: Sequence[Pair], random: np.random.Generator, count: int = 4000) -> Float[np.ndarray, " pairs"]:
+def chances(
+    pairs: Sequence[Pair], random: np.random.Generator, luck: float = LUCK, count: int = 4000
+) -> Float[np.ndarray, " pairs"]:
     """Chance of each hypothesis to tell recordings like these best, by the Bayesian bootstrap over recordings.
 
-    Fits from other starts end a few nats apart: so much of a lead is luck.
+    Fits from other starts end some nats apart: so much of a lead is luck.
     """
     _, groups = np.unique(pairs[0].owners, return_inverse=True)
     losses = np.stack([np.bincount(groups, p.losses) for p in pairs], 1)
     rest = np.array([p.height - p.losses.sum() for p in pairs])
     weights = random.dirichlet(np.ones(len(losses)), count) * len(losses)
-    best = (weights @ losses + rest + LUCK * random.standard_normal((count, len(pairs)))).argmin(1)
+    best = (weights @ losses + rest + luck * random.standard_normal((count, len(pairs)))).argmin(1)
     return np.bincount(best, minlength=len(pairs)) / count
 
 

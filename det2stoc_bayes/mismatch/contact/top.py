@@ -5,12 +5,12 @@ the top as that many nats are. Regressing the likelihood at points drawn about t
 where the top is and how well that is known, and whether it is as sharp as sensitivities say.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.contact.fit import ContactFit, at
-from det2stoc_bayes.mismatch.contact.scales import scales_of
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, losses_at
 
 FAR = 2.0  # sds about the fit
 EACH, LEAST = 8, 40  # points for each unknown, and in all
@@ -22,30 +22,44 @@ SHARPNESS = 0.2, 1.5  # of the quadratic, of what sensitivities say
 def topped(fit: ContactFit, random: np.random.Generator) -> ContactFit:
     """The hypothesis at the top, its covariance widened by what the bumps leave unknown of it."""
     for _ in range(ROUNDS if len(fit.z) else 0):
-        fit = _round(fit, random)
+        q = _quadratic(fit, random)
+        step = -q.slope / q.sharp
+        step *= min(1.0, FARTHEST / max(float(np.linalg.norm(step)), 1e-12))
+        apart = q.bumps**2 * np.linalg.inv(q.design.T @ q.design)[1:, 1:] / q.sharp**2
+        there = at(fit.followed, np.maximum(fit.z + q.root @ step, fit.followed.problem.floor))
+        fit = replace(there, sizes=fit.differences[1], sharp=q.sharp, rough=q.root @ apart @ q.root.T)
     return fit
 
 
-def _round(fit: ContactFit, random: np.random.Generator) -> ContactFit:
+def bumps(fit: ContactFit, random: np.random.Generator) -> float:
+    """How high the likelihood's bumps about a fit are, nats: by so much fits of one hypothesis may differ."""
+    return _quadratic(fit, random).bumps if len(fit.z) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Quadratic:
+    """A quadratic through the likelihood at points about a fit, in coordinates that `root` makes unknowns of."""
+
+    root: Float[np.ndarray, "size size"]
+    design: Float[np.ndarray, "points size+1"]
+    slope: Float[np.ndarray, " size"]
+    sharp: float
+    bumps: float  # nats
+
+
+def _quadratic(fit: ContactFit, random: np.random.Generator) -> _Quadratic:
     size = len(fit.z)
     root = np.linalg.cholesky(np.linalg.inv(fit.gram))
     half = FAR * random.standard_normal((max(EACH * size, LEAST) // 2, size))
     z = np.maximum(fit.z + np.concatenate([half, -half]) @ root.T, fit.followed.problem.floor)
     u = np.linalg.solve(root, (z - fit.z).T).T
-    errors = fit.followed.errors(z)
-    heights = np.array([scales_of(e).losses(e).sum() for e in errors]) + 0.5 * (z**2).sum(1)
+    heights = losses_at(fit, z)
     design = np.column_stack([np.ones(len(u)), u, 0.5 * (u**2).sum(1)])
-    found = _robust(design, heights)
-    sharp = float(np.clip(found[-1], *SHARPNESS))
-    rest = heights - sharp * design[:, -1]
-    line = _robust(design[:, :-1], rest)
-    left = rest - design[:, :-1] @ line
-    tau = 1.4826 * float(np.median(np.abs(left)))
-    step = -line[1:] / sharp
-    step *= min(1.0, FARTHEST / max(float(np.linalg.norm(step)), 1e-12))
-    apart = tau**2 * np.linalg.inv(design[:, :-1].T @ design[:, :-1])[1:, 1:] / sharp**2
-    there = at(fit.followed, np.maximum(fit.z + root @ step, fit.followed.problem.floor))
-    return replace(there, sizes=fit.differences[1], sharp=sharp, rough=root @ apart @ root.T)
+    sharp = float(np.clip(_robust(design, heights)[-1], *SHARPNESS))
+    rest, design = heights - sharp * design[:, -1], design[:, :-1]
+    line = _robust(design, rest)
+    tau = 1.4826 * float(np.median(np.abs(rest - design @ line)))
+    return _Quadratic(root, design, line[1:], sharp, tau)
 
 
 def _robust(design: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,163 @@
+"""Where a region of other friction ends: a border has no derivative, but samples on either side of it can be counted.
+
+A followed simulation forgets soon, so a sample is told by the friction where the body was. Simulations under several
+frictions everywhere say what each gains at each sample; of all planes the one is likeliest on whose two sides the best
+frictions gain most together.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from cmaes import CMA
+from jaxtyping import Float
+
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed, losses_at
+from det2stoc_bayes.mismatch.contact.followed import BLOCK
+from det2stoc_bayes.mismatch.effects.base import PlacedEffect
+from det2stoc_bayes.mismatch.effects.contact import FrictionPatch
+
+RATIOS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.8, 2.4)  # of the friction
+FAR = 1e6  # m: so far off no body is outside
+NUM_TURNS = 24  # directions of a normal on the ground
+LEAST_SIDE = 0.03  # of the samples that are on a border's either side
+NUM_ROUNDS, LEAST_GAIN = 3, 1.0  # in which a border and the rest settle; nats
+TURN, SHIFT, GROWTH = 0.15, 0.08, 0.2  # in which a border is looked for: rad, of where the body was, log of ratio - 1
+POPULATION, GENERATIONS, SEED = 10, 12, 6
+ALIKE = 3.0  # nats within which directions are as likely: the middle one of such neighbours is taken
+
+
+@dataclass(frozen=True, eq=False)
+class Border:
+    """A plane, the ratio of friction on its normal's side to what it was, and what it gains, nats."""
+
+    gain: float
+    normal: Float[np.ndarray, "3"]
+    point: Float[np.ndarray, "3"]
+    ratio: float
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Of the effect's parameters."""
+        return {"ratio": self.ratio, "point": self.point, "normal": self.normal}
+
+
+def bordered(fit: ContactFit) -> ContactFit:
+    """A hypothesis with the region of its last effect where it is likeliest beside the other unknowns.
+
+    These are fitted on; a border moves by no derivative. As it is where the effect has no region.
+    """
+    placed = fit.problem.effects[-1] if fit.problem.effects else None
+    if placed is None or not isinstance(placed.effect, FrictionPatch):
+        return fit
+    found = None
+    for find in (_from_afar, *NUM_ROUNDS * [_nearby]):
+        z = find(fit if found is None else found, placed)
+        if z is None:
+            return fit
+        other = fit_followed(fit.followed, z, held=border_unknowns(fit), like=fit)
+        if found is not None and other.loss > found.loss - LEAST_GAIN:
+            break
+        found = other
+    return fit if found is None else found
+
+
+def _from_afar(fit: ContactFit, placed: PlacedEffect) -> Float[np.ndarray, " size"] | None:
+    """Unknowns with the likeliest border of all; None where there is none."""
+    z, plain = fit.z[: -placed.size], fit.problem.with_effects(fit.problem.effects[:-1])
+    border = likeliest_border(at(fit.followed.with_problem(plain), z), placed)
+    return None if border is None else np.concatenate([z, placed.effect.to_normal(border.values, placed.typical)])
+
+
+def _nearby(fit: ContactFit, placed: PlacedEffect) -> Float[np.ndarray, " size"]:
+    """Unknowns with the likeliest border about a fit's by CMA-ES: turned about where the body was, and shifted.
+
+    The ratio goes along, for it is another where the border is.
+    """
+    values = {n: v[0] for n, v in fit.problem.effect_values(fit.z[None])[-1].items()}
+    region, normal = np.array(placed.typical.region), values["normal"]
+    middle = region.mean(0) + ((values["point"] - region.mean(0)) @ normal) * normal
+    across = np.cross([0.0, 0.0, 1.0], normal)
+
+    def unknowns(turn: float, shift: float, growth: float) -> np.ndarray:
+        turned = np.cos(TURN * turn) * normal + np.sin(TURN * turn) * across
+        point = middle + SHIFT * shift * float(np.ptp(region @ turned)) * turned
+        border = {"ratio": 1 + (values["ratio"] - 1) * np.exp(GROWTH * growth), "point": point, "normal": turned}
+        return np.concatenate([fit.z[: -placed.size], placed.effect.to_normal(border, placed.typical)])
+
+    search = CMA(mean=np.zeros(3), sigma=1.0, seed=SEED, population_size=POPULATION)
+    best, least = fit.z, fit.loss
+    for _ in range(GENERATIONS):
+        asked = [search.ask() for _ in range(POPULATION)]
+        z = np.stack([unknowns(*x) for x in asked])
+        losses = losses_at(fit, z)
+        search.tell([(x, float(loss)) for x, loss in zip(asked, losses, strict=True)])
+        if losses.min() < least:
+            best, least = z[int(losses.argmin())], float(losses.min())
+    return best
+
+
+def border_unknowns(fit: ContactFit) -> list[int]:
+    """Which unknowns say where regions end: all of such effects but the ratio."""
+    out, begin = [], fit.problem.num_psi
+    for placed in fit.problem.effects:
+        out += range(begin + 1, begin + placed.size) if isinstance(placed.effect, FrictionPatch) else ()
+        begin += placed.size
+    return out
+
+
+def likeliest_border(fit: ContactFit, placed: PlacedEffect) -> Border | None:
+    """The plane that tells samples best; None for an effect without a region, or where the body does not move."""
+    if not isinstance(placed.effect, FrictionPatch) or not placed.typical.region:
+        return None
+    plain = fit.as_believed
+    everywhere = [{"ratio": r, "point": (0.0, 0.0, -FAR), "normal": (0.0, 0.0, 1.0)} for r in RATIOS]
+    with np.errstate(all="ignore"):
+        errors = plain.followed.errors_with(plain.z, placed, everywhere)
+    told = np.stack([plain.scales.each(e).sum(2).ravel() for e in errors])
+    places = _places(plain, placed)
+    there = np.isfinite(places).all(1)
+    told, places = told[:, there], places[there]
+    turns = np.arange(NUM_TURNS) * np.pi / NUM_TURNS
+    found = [b for b in (_best_across(told, places, turn) for turn in turns) if b is not None]
+    if not found:
+        return None
+    best = int(np.argmax([b.gain for b in found]))
+    alike = [b.gain > found[best].gain - ALIKE for b in found]
+    first, last = best, best
+    while last - first < len(found) and alike[first - 1]:
+        first -= 1
+    while last - first < len(found) and alike[(last + 1) % len(found)]:
+        last += 1
+    return found[(first + last) // 2 % len(found)]
+
+
+def _best_across(
+    told: Float[np.ndarray, "ratios samples"], places: Float[np.ndarray, "samples 3"], turn: float
+) -> Border | None:
+    """The best plane across a direction of the ground."""
+    normal = np.array([np.cos(turn), np.sin(turn), 0.0])
+    along = places @ normal
+    order = np.argsort(along, kind="stable")
+    gains = told[RATIOS.index(1.0), order] - told[:, order]
+    before = np.cumsum(gains, axis=1)
+    beyond = before[:, -1:] - before
+    least = max(int(LEAST_SIDE * len(order)), 1)
+    sums = (before.max(0) + beyond.max(0))[least:-least]
+    if not len(sums):
+        return None
+    k = least + int(sums.argmax())
+    border = 0.5 * (along[order[k]] + along[order[k + 1]])
+    point = places.mean(0) + (border - places.mean(0) @ normal) * normal
+    here, there = (RATIOS[int(x[:, k].argmax())] for x in (before, beyond))
+    if abs(np.log(here)) > abs(np.log(there)):  # psi stays where friction is nearer to what it was
+        normal, here, there = -normal, there, here
+    return Border(float(sums.max()), normal, point, there)
+
+
+def _places(fit: ContactFit, placed: PlacedEffect) -> Float[np.ndarray, "samples 3"]:
+    """Where the moving body was at each sample, in the order of blocks; NaN where there is none."""
+    first = placed.element.qpos
+    path = fit.followed.path(fit.z).qpos[:, 1:, first : first + 3]
+    room = fit.followed.blocks * BLOCK - path.shape[1]
+    return np.pad(path, ((0, 0), (0, room), (0, 0)), constant_values=np.nan).reshape(-1, 3)
