@@ -5,20 +5,53 @@ import numpy as np
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, within
 
 ROUNDS = 4  # with the same sensitivities
+FRACTIONS = (1.0, 0.5)  # of a step
 LESS = 0.9  # of the difference: a round that leaves more is the last
+SIZES = np.linspace(0.9, 1.1, 21)  # of an effect beside the model's psi
+FARTHEST = 3.0  # scales beyond which a difference counts no more: an impact came a step later
 
 
 def mimicking(rival: ContactFit, model: ContactFit) -> ContactFit:
-    """The rival where it predicts most like a model that is led alike; as it is where no step leads there."""
-    known = np.isfinite(rival.scales.values)
-    each = np.where(known, 1 / np.where(known, rival.scales.values, 1.0), 0.0)
-    columns = (each[:, None] * np.nan_to_num(rival.columns)).reshape(-1, len(rival.z))
-    near, left = rival, (each * np.nan_to_num(rival.errors - model.errors)).ravel()
+    """The rival where it predicts most like a model that is led alike; as it is where no step leads there.
+
+    It is looked for from its own unknowns, and from those that it shares with the model as they are there.
+    """
+    shared = rival.problem.size - rival.problem.effects[-1].size
+    found = [_descended(rival, rival, model)]
+    if shared and model.problem.effects[:-1] == rival.problem.effects[:-1]:
+        # An impact a step later parts two hypotheses more than all else does, and no step sees beyond it.
+        ways = [np.concatenate([model.z[:shared], f * rival.z[shared:]]) for f in SIZES]
+        there = min((at(rival.followed, way) for way in ways), key=lambda f: apart(f, model))
+        found.append(_descended(there, rival, model))
+    best = min(found, key=lambda f: apart(f, model))
+    return best if apart(best, model) < LESS * apart(rival, model) else rival
+
+
+def apart(a: ContactFit, b: ContactFit) -> float:
+    """Mean squared difference of what two hypotheses predict, in the scales of the first."""
+    left = _scaled(a, a.errors - b.errors)
+    told = np.isfinite(a.errors) & np.isfinite(a.scales.values)
+    return float(np.minimum(left**2, FARTHEST**2).sum() / max(told.sum(), 1))
+
+
+def _descended(near: ContactFit, rival: ContactFit, model: ContactFit) -> ContactFit:
+    columns = _scaled(rival, rival.columns).reshape(-1, len(rival.z))
     for _ in range(ROUNDS):
-        step = np.linalg.lstsq(columns, left, rcond=1e-8)[0]
-        found = at(near.followed, within(near, near.z + step))
-        apart = (each * np.nan_to_num(found.errors - model.errors)).ravel()
-        if not apart @ apart < LESS * left @ left:
+        left = _scaled(rival, near.errors - model.errors)
+        said = np.sqrt(np.minimum(1.0, (FARTHEST / np.maximum(np.abs(left), 1e-12)) ** 2))
+        step = np.linalg.lstsq(said[:, None] * columns, said * left, rcond=1e-8)[0]
+        tried = [at(near.followed, within(near, near.z + f * step)) for f in FRACTIONS]
+        found = min(tried, key=lambda f: apart(f, model))
+        if not apart(found, model) < LESS * apart(near, model):
             break
-        near, left = found, apart
+        near = found
     return near
+
+
+def _scaled(fit: ContactFit, values: np.ndarray) -> np.ndarray:
+    """Values by block, sample and column (and more axes) in the fit's scales, a row each; 0 where nothing was told."""
+    known = np.isfinite(fit.scales.values)
+    each = np.where(known, 1 / np.where(known, fit.scales.values, 1.0), 0.0)
+    extra = values.shape[3:]
+    scaled = np.nan_to_num(values) * each.reshape(-1, *[1] * len(extra))
+    return scaled.reshape(-1, *extra)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
-from det2stoc_bayes.mismatch.contact.mimic import mimicking
+from det2stoc_bayes.mismatch.contact.mimic import apart, mimicking
 from det2stoc_bayes.mismatch.contact.pair import (
     MEMORIES,
     SKETCH,
@@ -43,6 +43,7 @@ TIMES = 3.0  # what chance gains at most
 NUM_CHANCES = 3  # data sets that the base itself makes
 LUCK = 2.0  # nats by which fits of the same hypothesis differ where the likelihood has no bumps
 MAX_EFFECTS = 3
+ALIKE = 0.05  # mean squared difference of predictions, in noise sds, of what no sample tells apart
 LOOK_AGAIN = 30.0  # nats of a leader, whose rivals are looked for once more where it ended
 LEAST_BLOCKS = 8  # that are held out, or nothing is decided by them
 Progress = Callable[[str, int, int], None]
@@ -251,5 +252,4 @@ def alike(a: Pair, b: Pair) -> Bool[np.ndarray, ""]:
     """Whether two hypotheses predict the same, within a small part of the noise."""
     if a.fit.followed.memory != b.fit.followed.memory or abs(a.height - b.height) > LUCK:
         return np.asarray(False)
-    apart = (a.fit.errors - b.fit.errors) / a.fit.scales.values
-    return np.asarray(np.nanmean(np.minimum(apart**2, 9.0)) < 0.05)
+    return np.asarray(apart(a.fit, b.fit) < ALIKE)
