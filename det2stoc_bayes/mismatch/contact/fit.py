@@ -133,6 +133,12 @@ def at(followed: Followed, z: Float[np.ndarray, " size"], scales: Scales | None 
     return ContactFit(followed, z, errors, scales_of(errors) if scales is None else scales)
 
 
+def sds(gram: Float[np.ndarray, "size size"]) -> Float[np.ndarray, "size size"]:
+    """A root of a curvature's inverse, by which draws of unit variance are scattered as the unknowns are."""
+    values, vectors = np.linalg.eigh(gram)
+    return vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+
+
 def losses_at(fit: ContactFit, z: Float[np.ndarray, "variants size"]) -> Float[np.ndarray, " variants"]:
     """The loss of a fit's hypothesis at other unknowns, each under its own scales."""
     told = [scales_of(e).losses(e).sum() for e in fit.followed.errors(z)]

@@ -113,7 +113,7 @@ def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
     found = []
     while left:
         best = left[0]
-        mine = [i for i in left if i == best or bool(alike(pairs[best], pairs[i]))]
+        mine = [i for i in left if i == best or bool(alike(pairs[i], pairs[best], one.luck))]
         left = [i for i in left if i not in mine]
         fewest = min(pairs[i].placed.size for i in mine)
         members = sorted(

@@ -16,28 +16,30 @@ def mimicking(rival: ContactFit, model: ContactFit) -> ContactFit:
 
     It is looked for from its own unknowns, and from those that it shares with the model as they are there.
     """
-    shared = rival.problem.size - rival.problem.effects[-1].size
+    last = rival.problem.effects[-1]
+    shared = rival.problem.size - last.size
     found = [_descended(rival, rival, model)]
-    if shared and model.problem.effects[:-1] == rival.problem.effects[:-1]:
+    if model.problem.effects[:-1] == rival.problem.effects[:-1]:
         # An impact a step later parts two hypotheses more than all else does, and no step sees beyond it.
-        ways = [np.concatenate([model.z[:shared], f * rival.z[shared:]]) for f in SIZES]
+        own = np.arange(last.size) < last.effect.parameters[0].size
+        ways = [np.concatenate([model.z[:shared], np.where(own, f, 1.0) * rival.z[shared:]]) for f in SIZES]
         there = min((at(rival.followed, way) for way in ways), key=lambda f: apart(f, model))
         found.append(_descended(there, rival, model))
     best = min(found, key=lambda f: apart(f, model))
     return best if apart(best, model) < LESS * apart(rival, model) else rival
 
 
-def apart(a: ContactFit, b: ContactFit) -> float:
-    """Mean squared difference of what two hypotheses predict, in the scales of the first."""
-    left = _scaled(a, a.errors - b.errors)
-    told = np.isfinite(a.errors) & np.isfinite(a.scales.values)
+def apart(rival: ContactFit, model: ContactFit) -> float:
+    """Mean squared difference of what two hypotheses predict, in the model's scales."""
+    left = _scaled(model, rival.errors - model.errors)
+    told = np.isfinite(model.errors) & np.isfinite(model.scales.values)
     return float(np.minimum(left**2, FARTHEST**2).sum() / max(told.sum(), 1))
 
 
 def _descended(near: ContactFit, rival: ContactFit, model: ContactFit) -> ContactFit:
-    columns = _scaled(rival, rival.columns).reshape(-1, len(rival.z))
+    columns = _scaled(model, rival.columns).reshape(-1, len(rival.z))
     for _ in range(ROUNDS):
-        left = _scaled(rival, near.errors - model.errors)
+        left = _scaled(model, near.errors - model.errors)
         said = np.sqrt(np.minimum(1.0, (FARTHEST / np.maximum(np.abs(left), 1e-12)) ** 2))
         step = np.linalg.lstsq(said[:, None] * columns, said * left, rcond=1e-8)[0]
         tried = [at(near.followed, within(near, near.z + f * step)) for f in FRACTIONS]

@@ -131,11 +131,10 @@ def sketched(base: ContactFit, promise: Promise, iterations: int = SKETCH) -> Co
     return fit_followed(base.followed.with_problem(more), first, others=others, iterations=iterations, like=base)
 
 
-def finished(sketch: ContactFit, base: Pair) -> Pair:
+def finished(sketch: ContactFit, base: ContactFit, held: Followed) -> Pair:
     """What was sketched on some of a base's recordings, fitted to all of them."""
-    problem = base.fit.problem.with_effects(sketch.problem.effects)
-    followed = base.fit.followed.with_problem(problem)
-    return best_bordered(paired(fit_followed(followed, sketch.z, like=sketch), base.held.followed))
+    followed = base.followed.with_problem(base.problem.with_effects(sketch.problem.effects))
+    return best_bordered(paired(fit_followed(followed, sketch.z, like=sketch), held))
 
 
 def best_bordered(pair: Pair) -> Pair:
@@ -151,7 +150,7 @@ def remembered(pair: Pair) -> Pair:
 
 
 def remembering_more(pair: Pair) -> Pair | None:
-    """The same hypothesis with the next memory; None where that does not serve it."""
+    """The same hypothesis with a longer memory; None where that does not serve it."""
     longer = longer_by_one(pair.fit)
     if longer is None:
         return None

@@ -13,14 +13,16 @@ from cmaes import CMA
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed, losses_at
-from det2stoc_bayes.mismatch.contact.followed import BLOCK
+from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
-from det2stoc_bayes.mismatch.effects.contact import FrictionPatch
+from det2stoc_bayes.mismatch.effects.contact import LEAST, FrictionPatch
 
 RATIOS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.8, 2.4)  # of the friction
 FAR = 1e6  # m: so far off no body is outside
 NUM_TURNS = 24  # directions of a normal on the ground
 LEAST_SIDE = 0.03  # of the samples that are on a border's either side
+LEAST_WAY, SAME = 0.2, 1e-9  # of where the body was: across a border; between samples of one place
+MEMORY = 6.0  # samples: a longer one tells a sample by frictions farther back
 NUM_ROUNDS, LEAST_GAIN = 3, 1.0  # in which a border and the rest settle; nats
 TURN, SHIFT, GROWTH = 0.15, 0.08, 0.2  # in which a border is looked for: rad, of where the body was, log of ratio - 1
 POPULATION, GENERATIONS, SEED = 10, 12, 6
@@ -29,7 +31,7 @@ ALIKE = 3.0  # nats within which directions are as likely: the middle one of suc
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """A plane, the ratio of friction on its normal's side to what it was, and what it gains, nats."""
+    """A plane, the ratio of friction on its normal's side to what it was, and what two gain over one, nats."""
 
     gain: float
     normal: Float[np.ndarray, "3"]
@@ -50,22 +52,21 @@ def bordered(fit: ContactFit) -> ContactFit:
     placed = fit.problem.effects[-1] if fit.problem.effects else None
     if placed is None or not isinstance(placed.effect, FrictionPatch):
         return fit
-    found = None
-    for find in (_from_afar, *NUM_ROUNDS * [_nearby]):
-        z = find(fit if found is None else found, placed)
-        if z is None:
-            return fit
-        other = fit_followed(fit.followed, z, held=border_unknowns(fit), like=fit)
-        if found is not None and other.loss > found.loss - LEAST_GAIN:
+    found = fit
+    for k, find in enumerate((_from_afar, *NUM_ROUNDS * [_nearby])):
+        z = find(found, placed)
+        other = found if z is None else fit_followed(fit.followed, z, held=border_unknowns(fit), like=fit)
+        if k > 1 and other.loss > found.loss - LEAST_GAIN:
             break
-        found = other
-    return fit if found is None else found
+        found = min((found, other), key=lambda f: f.loss)
+    return found
 
 
 def _from_afar(fit: ContactFit, placed: PlacedEffect) -> Float[np.ndarray, " size"] | None:
     """Unknowns with the likeliest border of all; None where there is none."""
     z, plain = fit.z[: -placed.size], fit.problem.with_effects(fit.problem.effects[:-1])
-    border = likeliest_border(at(fit.followed.with_problem(plain), z), placed)
+    followed = fit.followed.with_problem(plain).remembering(min(fit.followed.memory, MEMORY))
+    border = likeliest_border(at(followed, z), placed)
     return None if border is None else np.concatenate([z, placed.effect.to_normal(border.values, placed.typical)])
 
 
@@ -82,7 +83,8 @@ def _nearby(fit: ContactFit, placed: PlacedEffect) -> Float[np.ndarray, " size"]
     def unknowns(turn: float, shift: float, growth: float) -> np.ndarray:
         turned = np.cos(TURN * turn) * normal + np.sin(TURN * turn) * across
         point = middle + SHIFT * shift * float(np.ptp(region @ turned)) * turned
-        border = {"ratio": 1 + (values["ratio"] - 1) * np.exp(GROWTH * growth), "point": point, "normal": turned}
+        ratio = max(1 + (values["ratio"] - 1) * np.exp(GROWTH * growth), LEAST)
+        border = {"ratio": ratio, "point": point, "normal": turned}
         return np.concatenate([fit.z[: -placed.size], placed.effect.to_normal(border, placed.typical)])
 
     search = CMA(mean=np.zeros(3), sigma=1.0, seed=SEED, population_size=POPULATION)
@@ -99,8 +101,9 @@ def _nearby(fit: ContactFit, placed: PlacedEffect) -> Float[np.ndarray, " size"]
 
 def border_unknowns(fit: ContactFit) -> list[int]:
     """Which unknowns say where regions end: all of such effects but the ratio."""
-    out, begin = [], fit.problem.num_psi
-    for placed in fit.problem.effects:
+    problem = fit.followed.problem
+    out, begin = [], problem.num_psi
+    for placed in problem.effects:
         out += range(begin + 1, begin + placed.size) if isinstance(placed.effect, FrictionPatch) else ()
         begin += placed.size
     return out
@@ -115,41 +118,52 @@ def likeliest_border(fit: ContactFit, placed: PlacedEffect) -> Border | None:
     with np.errstate(all="ignore"):
         errors = plain.followed.errors_with(plain.z, placed, everywhere)
     told = np.stack([plain.scales.each(e).sum(2).ravel() for e in errors])
+    sound = (np.nan_to_num(np.abs(errors)) < FARTHEST).all((0, 3)).ravel()  # a simulation that diverges tells nothing
     places = _places(plain, placed)
-    there = np.isfinite(places).all(1)
+    there = np.isfinite(places).all(1) & np.isfinite(plain.errors).any(2).ravel() & sound
     told, places = told[:, there], places[there]
+    flat = float(np.ptp(places[:, :2], axis=0).max(initial=0.0)) if len(places) else 0.0
+    if not flat > 0:
+        return None
     turns = np.arange(NUM_TURNS) * np.pi / NUM_TURNS
-    found = [b for b in (_best_across(told, places, turn) for turn in turns) if b is not None]
+    found = [b for b in (_best_across(told, places, turn, flat) for turn in turns) if b is not None]
     if not found:
         return None
     best = int(np.argmax([b.gain for b in found]))
     alike = [b.gain > found[best].gain - ALIKE for b in found]
     first, last = best, best
-    while last - first < len(found) and alike[first - 1]:
+    if all(alike):
+        return found[best]
+    while alike[first - 1]:
         first -= 1
-    while last - first < len(found) and alike[(last + 1) % len(found)]:
+    while alike[(last + 1) % len(found)]:
         last += 1
     return found[(first + last) // 2 % len(found)]
 
 
 def _best_across(
-    told: Float[np.ndarray, "ratios samples"], places: Float[np.ndarray, "samples 3"], turn: float
+    told: Float[np.ndarray, "ratios samples"], places: Float[np.ndarray, "samples 3"], turn: float, flat: float
 ) -> Border | None:
-    """The best plane across a direction of the ground."""
+    """The best plane across a direction of the ground; None where the body hardly moves along it."""
     normal = np.array([np.cos(turn), np.sin(turn), 0.0])
     along = places @ normal
+    if np.ptp(along) < LEAST_WAY * flat:
+        return None
     order = np.argsort(along, kind="stable")
     gains = told[RATIOS.index(1.0), order] - told[:, order]
     before = np.cumsum(gains, axis=1)
     beyond = before[:, -1:] - before
+    sums = (before.max(0) + beyond.max(0))[:-1] - before[:, -1].max()  # what friction gains that is another everywhere
     least = max(int(LEAST_SIDE * len(order)), 1)
-    sums = (before.max(0) + beyond.max(0))[least:-least]
-    if not len(sums):
+    sums[: least - 1] = sums[len(sums) - least + 1 :] = -np.inf
+    sums[np.diff(along[order]) <= SAME * np.ptp(along)] = -np.inf  # at one place nothing ends
+    if not np.isfinite(sums).any():
         return None
-    k = least + int(sums.argmax())
+    k = int(sums.argmax())
     border = 0.5 * (along[order[k]] + along[order[k + 1]])
     point = places.mean(0) + (border - places.mean(0) @ normal) * normal
-    here, there = (RATIOS[int(x[:, k].argmax())] for x in (before, beyond))
+    nearest = -1e-9 * np.abs(np.log(RATIOS))  # of frictions that gain the same
+    here, there = (RATIOS[int((x[:, k] + nearest).argmax())] for x in (before, beyond))
     if abs(np.log(here)) > abs(np.log(there)):  # psi stays where friction is nearer to what it was
         normal, here, there = -normal, there, here
     return Border(float(sums.max()), normal, point, there)

@@ -33,7 +33,7 @@ class Promise:
 def screen(
     fit: ContactFit, pool: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda _: None
 ) -> list[Promise]:
-    """Every candidate's best trials, most gain first, by what they do to the recordings that are told worst.
+    """Every candidate's best trials, most gain first, by what they do to recordings that are told badly and well.
 
     A finer integration takes several times as long; it changes what is foretold, but hardly what an effect does to it.
     """
@@ -42,7 +42,7 @@ def screen(
     out = []
     for placed in pool:
         found = [replace(p, gain=share * p.gain) for p in _judged(few, placed, _sifted(one, few, placed))]
-        found = [*_bordered(fit, placed), *found]
+        found = sorted([*_bordered(fit, placed), *found], key=lambda p: -p.gain)
         advance(1)
         if found:
             out.append(replace(found[0], others=tuple(found[1:])))

@@ -1,7 +1,7 @@
 """Additions to the believed model, judged by recordings that were not fitted: what is named must tell those better."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.mimic import apart, mimicking
 from det2stoc_bayes.mismatch.contact.pair import (
-    MEMORIES,
     SKETCH,
     Pair,
     finished,
@@ -79,7 +78,8 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     base, found, luck = smoothed(better_base(base, found), found, progress, seed)
     rivals = [p.placed for p in found]
     chance = cache(lambda: gain_by_chance(base, rivals, seed, progress))  # which takes long, and is seldom asked for
-    taken = found[0] if found and earns(base, found[0], threshold(len(others)), chance) else None
+    needed = max(threshold(len(others)), luck)
+    taken = found[0] if found and earns(base, found[0], needed, chance) else None
     return Round(base, tuple(screened), tuple(found), taken, luck)
 
 
@@ -109,7 +109,7 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progres
     """
     worth = shortlist(screened, NUM_SKETCHED)
     worth += [o for s in worth[:3] for o in s.others if o.gain > ALSO * s.gain]
-    few, on = some(ground), replace(base, fit=ground)
+    few = some(ground)
     bare = at(few.followed, few.z).loss
     tell = partial(_in_turn, progress=progress, total=2 * len(worth) + NUM_REFINED)
     begun = in_reach(tell(lambda p: sketched(few, p, iterations=1), worth, 0), bare, BEGUN)
@@ -119,7 +119,7 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progres
     best = {s.problem.effects[-1]: s for s in reversed(sketches)}
     chosen = sorted(best.values(), key=lambda f: f.loss)[:NUM_REFINED]
     chosen += [s for s in sketches if s.problem.effects == chosen[0].problem.effects and s is not chosen[0]]
-    pairs = tell(lambda f: finished(f, on), chosen, 2 * len(worth))
+    pairs = tell(lambda f: finished(f, ground, base.held.followed), chosen, 2 * len(worth))
     progress("refining the best", 1, 1)
     return best_of_each(pairs)
 
@@ -144,53 +144,50 @@ def _in_turn[T, S](
 def near_remembered(base: Pair, found: Sequence[Pair], progress: Progress) -> list[Pair]:
     """Best first, those that come near the best each with the memory that serves it best.
 
-    A short memory forgives what is wrong: with a longer one the right effect gains most. Memories grow in turn, and who
-    falls behind stays there.
+    A short memory forgives what is wrong: with a longer one the right effect gains most.
     """
-    best = {p.placed: p for p in found}
-    racing = list(found)
-    for k in range(len(MEMORIES)):
-        top = min(best.values(), key=lambda p: p.height, default=None)
-        if top is None or not racing:
-            break
-        progress("remembering longer", k, len(MEMORIES))
-        least = top.height + max(NEAR * top.gain(base), LEAST_NEAR)
-        longer = [remembering_more(p) for p in racing if p.height <= least]
-        racing = [p for p in longer if p is not None]
-        best |= {p.placed: p for p in racing if p.height < best[p.placed].height}
+    done = {p.placed: p for p in found}
+    near = _near(base, found)
+    for k, pair in enumerate(near):
+        progress("remembering longer", k, len(near))
+        now: Pair | None = pair
+        while now is not None:
+            done[pair.placed] = min((done[pair.placed], now), key=lambda p: p.height)
+            now = remembering_more(now)
     progress("remembering longer", 1, 1)
-    least = min((p.height for p in best.values()), default=0.0) + LEAST_NEAR
-    near = best_of_each([p for p in best.values() if p.height <= least])
-    return best_of_each([*(as_the_best(near) if near else []), *(p for p in best.values() if p not in near)])
+    return best_of_each(list(done.values()))
+
+
+def _near(base: Pair, found: Sequence[Pair]) -> list[Pair]:
+    """Those that come near the first."""
+    return [p for p in found if p.height <= found[0].height + max(NEAR * found[0].gain(base), LEAST_NEAR)]
 
 
 def smoothed(base: Pair, found: Sequence[Pair], progress: Progress, seed: int) -> tuple[Pair, list[Pair], float]:
     """Base and those near the best beyond their nearest bumps, best first, and how high these are, nats."""
     if not found:
         return base, [], LUCK
-    bumpy = max(LUCK, bumps(found[0].fit, np.random.default_rng([seed, 5])))
-    if bumpy < BUMPY:
-        return base, list(found), bumpy
-    least = found[0].height + max(NEAR * found[0].gain(base), LEAST_NEAR)
-    near = [p for p in found if p.height <= least]
-    done = []
-    for k, pair in enumerate([base, *near]):
-        progress("polishing", k, 1 + len(near))
+    luck = max(LUCK, bumps(found[0].fit, np.random.default_rng([seed, 5])))
+    near = _near(base, found)
+    done = [base, *near]
+    for k, pair in enumerate(done if luck >= BUMPY else []):
+        progress("polishing", k, len(done))
         fit = polished(pair.fit)
-        done.append(pair if fit is pair.fit else paired(fit, pair.held.followed))
+        done[k] = pair if fit is pair.fit else paired(fit, pair.held.followed)
     progress("polishing", 1, 1)
-    return done[0], best_of_each([*done[1:], *(p for p in found if p not in near)]), bumpy
+    alone = as_the_best(best_of_each(done[1:]), luck)
+    return done[0], best_of_each([*alone, *(p for p in found if p not in near)]), luck
 
 
-def as_the_best(pairs: Sequence[Pair]) -> list[Pair]:
+def as_the_best(pairs: Sequence[Pair], luck: float = LUCK) -> list[Pair]:
     """What can predict as the best does, where it does: equivalent effects would end nats apart, on other bumps."""
     first, *others = pairs
     out = [first]
     for rival in others:
-        if rival.fit.followed.memory == first.fit.followed.memory:
-            near = mimicking(rival.fit, first.fit)
-            same = rival if near is rival.fit else paired(near, rival.held.followed)
-            rival = same if alike(same, first) else rival
+        if rival.height <= first.height + LEAST_NEAR:
+            led = at(rival.fit.followed.remembering(first.fit.followed.memory), rival.fit.z)
+            same = paired(mimicking(led, first.fit), rival.held.followed)
+            rival = same if alike(same, first, luck) else rival
         out.append(rival)
     return out
 
@@ -248,8 +245,8 @@ def chances(
     return np.bincount(best, minlength=len(pairs)) / count
 
 
-def alike(a: Pair, b: Pair) -> Bool[np.ndarray, ""]:
+def alike(a: Pair, b: Pair, luck: float = LUCK) -> Bool[np.ndarray, ""]:
     """Whether two hypotheses predict the same, within a small part of the noise."""
-    if a.fit.followed.memory != b.fit.followed.memory or abs(a.height - b.height) > LUCK:
+    if a.fit.followed.memory != b.fit.followed.memory or abs(a.height - b.height) > luck:
         return np.asarray(False)
     return np.asarray(apart(a.fit, b.fit) < ALIKE)
