@@ -12,6 +12,7 @@ from det2stoc_bayes.mismatch.contact import regions
 from det2stoc_bayes.mismatch.contact.fit import at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.places import elements_of
+from det2stoc_bayes.mismatch.contact.polish import polished
 from det2stoc_bayes.mismatch.contact.regions import bordered, likeliest_border
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
@@ -56,10 +57,8 @@ def test_the_likeliest_border_is_the_true_one(rough, pool):
     assert border is not None and border.gain > 30  # measured: 51 nats more than by one friction everywhere
     assert border.normal @ values["normal"] > 0.95, border
     reach = np.ptp(np.array(named(pool, "friction_patch").typical.region) @ values["normal"])
-    assert abs((border.point - values["point"]) @ values["normal"]) < 0.2 * reach, (
-        border,
-        reach,
-    )  # measured: 0.13, of four slides
+    off = abs((border.point - values["point"]) @ values["normal"])
+    assert off < 0.2 * reach, (border, reach)  # measured: 0.13, of four slides
     assert 0.6 * RATIO < border.ratio < 1.5 * RATIO
 
 
@@ -75,6 +74,15 @@ def test_a_border_that_lies_wrong_is_moved_to_where_it_tells_most(rough, pool):
     assert found["normal"][0] @ values["normal"] > 0.95, found
     assert abs(found["ratio"][0] / RATIO - 1) < 0.3, found
     assert moved.loss < best.loss + 60 < at(hypothesis, start).loss  # measured: 44; psi and ratio trade
+
+
+def test_polishing_leads_psi_and_ratio_on_and_leaves_the_border(rough, pool):
+    recorded, _, z = rough
+    hypothesis = recorded.with_problem(recorded.problem.with_effects((named(pool, "friction_patch"),)))
+    off = at(hypothesis, z + np.array([0.3, 0.3, *np.zeros(6)]))
+    found = polished(off)
+    assert found.loss < off.loss - 10 and (found.z[2:] == z[2:]).all()
+    assert found.loss == at(hypothesis, found.z).loss
 
 
 def on_ground(x, y=0.0):

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from cmaes import CMA
 from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed, losses_at
+from det2stoc_bayes.mismatch.contact.evolution import evolved
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 from det2stoc_bayes.mismatch.effects.contact import LEAST, FrictionPatch
@@ -25,7 +25,7 @@ LEAST_WAY, SAME = 0.2, 1e-9  # of where the body was: across a border; between s
 MEMORY = 6.0  # samples: a longer one tells a sample by frictions farther back
 NUM_ROUNDS, LEAST_GAIN = 3, 1.0  # in which a border and the rest settle; nats
 TURN, SHIFT, GROWTH = 0.15, 0.08, 0.2  # in which a border is looked for: rad, of where the body was, log of ratio - 1
-POPULATION, GENERATIONS, SEED = 10, 12, 6
+POPULATION, GENERATIONS = 10, 12
 ALIKE = 3.0  # nats within which directions are as likely: the middle one of such neighbours is taken
 
 
@@ -80,23 +80,15 @@ def _nearby(fit: ContactFit, placed: PlacedEffect) -> Float[np.ndarray, " size"]
     middle = region.mean(0) + ((values["point"] - region.mean(0)) @ normal) * normal
     across = np.cross([0.0, 0.0, 1.0], normal)
 
-    def unknowns(turn: float, shift: float, growth: float) -> np.ndarray:
+    def unknowns(x: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " unknowns"]:
+        turn, shift, growth = x
         turned = np.cos(TURN * turn) * normal + np.sin(TURN * turn) * across
         point = middle + SHIFT * shift * float(np.ptp(region @ turned)) * turned
         ratio = max(1 + (values["ratio"] - 1) * np.exp(GROWTH * growth), LEAST)
         border = {"ratio": ratio, "point": point, "normal": turned}
         return np.concatenate([fit.z[: -placed.size], placed.effect.to_normal(border, placed.typical)])
 
-    search = CMA(mean=np.zeros(3), sigma=1.0, seed=SEED, population_size=POPULATION)
-    best, least = fit.z, fit.loss
-    for _ in range(GENERATIONS):
-        asked = [search.ask() for _ in range(POPULATION)]
-        z = np.stack([unknowns(*x) for x in asked])
-        losses = losses_at(fit, z)
-        search.tell([(x, float(loss)) for x, loss in zip(asked, losses, strict=True)])
-        if losses.min() < least:
-            best, least = z[int(losses.argmin())], float(losses.min())
-    return best
+    return evolved(fit, unknowns, size=3, sigma=1.0, population=POPULATION, generations=GENERATIONS)
 
 
 def border_unknowns(fit: ContactFit) -> list[int]:

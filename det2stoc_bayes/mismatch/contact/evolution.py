@@ -1,0 +1,33 @@
+"""The likeliest of many unknowns drawn about a fit: beyond the bumps that contact makes no derivative leads."""
+
+from collections.abc import Callable
+
+import numpy as np
+from cmaes import CMA
+from jaxtyping import Float
+
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, losses_at
+
+SEED = 6
+
+
+def evolved(
+    fit: ContactFit,
+    unknowns: Callable[[Float[np.ndarray, " size"]], Float[np.ndarray, " unknowns"]],
+    *,
+    size: int,
+    sigma: float,
+    population: int,
+    generations: int,
+) -> Float[np.ndarray, " unknowns"]:
+    """The likeliest unknowns by CMA-ES (Hansen, 2016) over coordinates about 0, the fit; its own if none is better."""
+    search = CMA(mean=np.zeros(size), sigma=sigma, seed=SEED, population_size=population)
+    best, least = fit.z, fit.loss
+    for _ in range(generations):
+        asked = [search.ask() for _ in range(population)]
+        z = np.stack([unknowns(x) for x in asked])
+        losses = losses_at(fit, z)
+        search.tell([(x, float(loss)) for x, loss in zip(asked, losses, strict=True)])
+        if losses.min() < least:
+            best, least = z[int(losses.argmin())], float(losses.min())
+    return best
