@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import numpy as np
 from logs import append, logged
-from two_samples_jax import c2st
+from two_samples_jax import c2sts
 
 from det2stoc_bayes.blind.proof import revision
 from det2stoc_bayes.inference._flow import ConditionalFlow, train
@@ -28,6 +28,7 @@ from det2stoc_bayes.vector_problem import VectorProblem
 LOG = Path(__file__).parent / "results" / "compare_sbi.jsonl"
 PROBLEMS = ("two_moons", "slcp", "gaussian_linear")
 BUDGETS = (1_000, 10_000, 100_000)
+WAYS = "npe", "npe+psis"
 NUM_DRAWS, NUM_PROPOSED, NUM_OBSERVATIONS = 10_000, 100_000, 10
 PUBLISHED = {  # mean C2ST of NPE, by the number of simulations
     "gaussian_linear": (0.694, 0.552, 0.506),
@@ -49,17 +50,19 @@ def table(path: Path) -> np.ndarray:
     return np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
 
 
-def judged(problem: VectorProblem, flow: ConditionalFlow, observation: int, seed: int) -> dict[str, float]:
-    """C2ST against the reference of one observation, draws in theta as the benchmark has them."""
+def drawn(problem: VectorProblem, flow: ConditionalFlow, observation: int, seed: int) -> dict[str, Any]:
+    """Draws of one observation's posterior in theta, as the benchmark has them, beside the reference's."""
     folder = files_of(problem.name, observation)
     x = table(folder / "observation.csv")[0]
-    reference = table(folder / "reference_posterior_samples.csv.bz2").astype(np.float32)
     own, other = jax.random.split(jax.random.fold_in(jax.random.key(seed), observation))
     draws, k_hat, effective = refined(problem, flow, x, other, NUM_DRAWS, NUM_PROPOSED)
-    told = {"k_hat": round(k_hat, 3), "effective": round(effective, 1)}
-    ways = {"npe": flow.sample(own, x, NUM_DRAWS), "npe+psis": draws}
-    scores = {way: c2st(reference, problem.constrained(z).astype(np.float32)) for way, z in ways.items()}
-    return {way: round(value, 4) for way, value in scores.items()} | told
+    return {
+        "npe": problem.constrained(flow.sample(own, x, NUM_DRAWS)),
+        "npe+psis": problem.constrained(draws),
+        "reference": table(folder / "reference_posterior_samples.csv.bz2"),
+        "k_hat": round(k_hat, 3),
+        "effective": round(effective, 1),
+    }
 
 
 def line(name: str, budget: int, seed: int) -> dict[str, Any]:
@@ -69,9 +72,14 @@ def line(name: str, budget: int, seed: int) -> dict[str, Any]:
     began = time.perf_counter()
     flow = train(z, x, jax.random.key(seed))
     seconds = time.perf_counter() - began
-    found = [judged(problem, flow, k, seed) for k in range(1, NUM_OBSERVATIONS + 1)]
-    columns = {key: [one[key] for one in found] for key in found[0]}
-    return {"seconds": round(seconds, 1), "epochs": len(flow.history)} | columns
+    found = [drawn(problem, flow, k, seed) for k in range(1, NUM_OBSERVATIONS + 1)]
+    columns = {key: [one[key] for one in found] for key in ("k_hat", "effective")}
+    reference = np.stack([one["reference"] for one in found])
+    for way in WAYS:
+        scores = c2sts(reference, np.stack([one[way] for one in found]))
+        columns[way] = [round(float(value), 4) for value in scores]
+    about = {"seconds": round(seconds, 1), "epochs": len(flow.history), "device": jax.devices()[0].device_kind}
+    return about | columns
 
 
 def summary(lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -81,7 +89,7 @@ def summary(lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     for name, (k, budget) in itertools.product(PROBLEMS, enumerate(BUDGETS)):
         own = [one for one in lines if one["problem"] == name and one["simulations"] == budget]
         if own:
-            cells = [_mean([one[way] for one in own]) for way in ("npe", "npe+psis")]
+            cells = [_mean([one[way] for one in own]) for way in WAYS]
             k_hat = np.mean([one["k_hat"] for one in own], 0)
             cells += [f"{(k_hat > reliable(NUM_PROPOSED)).sum()} of {len(k_hat)}"]
             seconds = np.mean([one["seconds"] for one in own])
@@ -100,15 +108,16 @@ def main() -> None:
     parser.add_argument("--problems", nargs="+", choices=PROBLEMS, default=PROBLEMS)
     parser.add_argument("--simulations", nargs="+", type=int, choices=BUDGETS, default=BUDGETS)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--log", type=Path, default=LOG)
     given = parser.parse_args()
-    done = {(one["problem"], one["simulations"], one["seed"]) for one in logged(LOG)}
+    done = {(one["problem"], one["simulations"], one["seed"]) for one in logged(given.log)}
     for seed in range(given.seeds):
         for budget, name in itertools.product(given.simulations, given.problems):
             if (name, budget, seed) not in done:
                 about = {"commit": revision(), "problem": name, "simulations": budget, "seed": seed}
-                append(LOG, about | line(name, budget, seed))
-                print(*(list(summary([logged(LOG)[-1]]))[2:]), flush=True)
-    print(*summary(logged(LOG)), sep="\n")
+                append(given.log, about | line(name, budget, seed))
+                print(*(list(summary([logged(given.log)[-1]]))[2:]), flush=True)
+    print(*summary(logged(given.log)), sep="\n")
 
 
 if __name__ == "__main__":
