@@ -129,16 +129,19 @@ def calibrated(
     simulated: Float[np.ndarray, "simulations z"],
     true: Float[np.ndarray, "simulations size"],
 ) -> tuple[Float[np.ndarray, "episodes size"], Float[np.ndarray, "episodes size size"]]:
-    """Gaussian posteriors under N(0, I) of z, given summits, from how summits of simulated episodes told theirs.
+    """Gaussian posteriors under N(0, I) of z, given summits, from how summits of simulated episodes followed theirs.
 
     A decoder's likelihood multiplies its own errors over an episode and is surer than it may be; how far its summits
-    are off shows in episodes whose z is known (regression on a learned statistic: Fearnhead and Prangle 2012).
+    are off shows in episodes whose z is known: they are taken for normal about a line in z (synthetic likelihood: Wood
+    2010). Regressed the other way round, z on summits, chance makes some directions told less than nothing.
     """
-    inputs = np.concatenate([simulated, np.ones((len(simulated), 1))], 1)
-    gain, *_ = np.linalg.lstsq(inputs, true)
-    left = true - inputs @ gain
-    covariance = left.T @ left / (len(true) - inputs.shape[1])
-    return summits @ gain[:-1] + gain[-1], np.repeat(covariance[None], len(summits), 0)
+    inputs = np.concatenate([true, np.ones((len(true), 1))], 1)
+    gain, *_ = np.linalg.lstsq(inputs, simulated)
+    left = simulated - inputs @ gain
+    scatter = left.T @ left / (len(true) - inputs.shape[1])
+    told = np.linalg.solve(scatter, gain[:-1].T)
+    covariance = np.linalg.inv(gain[:-1] @ told + np.eye(true.shape[1]))
+    return (summits - gain[-1]) @ told @ covariance, np.repeat(covariance[None], len(summits), 0)
 
 
 def population_draws(

@@ -140,3 +140,24 @@ def test_what_a_decoder_is_sure_of_wrongly_is_calibrated():
     assert (np.quantile(sigma, 0.1, axis=0) < 0.3).all()  # all episodes are one
     _, unaware = population_draws(means / share, 0.05 * covariances, jax.random.key(0))
     assert (unaware.mean(0) > 2 * sigma.mean(0)).all()
+
+
+def test_chance_makes_no_direction_told_less_than_nothing():
+    """Summits that tell a tenth of z's variance, of 60 simulations: a likelihood that grows for ever has no population.
+
+    z regressed on summits leaves more than z's variance in some direction in most of these."""
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        simulated = random.standard_normal((60, 2))
+        summits = 0.33 * simulated + random.standard_normal((60, 2))
+        _, covariances = calibrated(summits[:1], summits, simulated)
+        assert (np.linalg.eigvalsh(covariances[0]) < 1 + 1e-9).all()
+
+
+def test_summits_that_tell_little_make_no_population_of_their_own():
+    random = np.random.default_rng(0)
+    simulated, true = random.standard_normal((60, 2)), 0.3 * random.standard_normal((10, 2))
+    followed, known = (0.33 * z + random.standard_normal(z.shape) for z in (true, simulated))
+    mu, sigma = population_draws(*calibrated(followed, known, simulated), jax.random.key(0), 500)
+    assert (np.abs(mu.mean(0)) < 4 * mu.std(0)).all()
+    assert (sigma.mean(0) < 1.5).all() and (np.abs(mu) < 15).all()  # priors: half-normal of 1; sd of 3
