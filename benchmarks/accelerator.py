@@ -8,6 +8,7 @@ import argparse
 import os
 import time
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -96,11 +97,9 @@ def main() -> int:
     about = {"commit": revision(), "device": jax.devices()[0].device_kind, "cores": os.cpu_count()}
     print(f"{about['device']} beside {about['cores']} cores")
     print("| problem | at once | unit | C | MJX | MJX with gradient | s to compile |\n|---|---|---|---|---|---|---|")
-    jobs = [lambda n=n: densities(n) for n in PROBLEMS] + [lambda k=k: iter([transitions(k)]) for k in EPISODES]
-    for job in jobs:
-        for line in job():
-            append(given.log, about | line)
-            print(row(line), flush=True)
+    for line in chain(*map(densities, PROBLEMS), map(transitions, EPISODES)):
+        append(given.log, about | line)
+        print(row(line), flush=True)
     return 0
 
 

@@ -7,7 +7,7 @@ from conftest import make_study
 
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.fit import at
-from det2stoc_bayes.mismatch.contact.flow import contact_flow
+from det2stoc_bayes.mismatch.contact.flow import Ground, contact_flow
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.mimic import mimicking
 from det2stoc_bayes.mismatch.contact.pair import Pair
@@ -94,7 +94,7 @@ def test_members_that_diverge_are_left_out(problem, monkeypatch):
 
 def test_noise_is_foretold_after_impacts_too(problem):
     plain = Followed(problem, 25.0)
-    led = plain.grounded(np.zeros(1))
+    led = plain.grounded(Ground(problem, np.zeros(1)))
     z = problem.simulator.parameters[0].prior.to_normal(np.array([0.4]))
     before, after = (at(f, np.asarray(z, float)).errors for f in (plain, led))
     assert np.nanmean(after**2) == pytest.approx(1, abs=0.25)
@@ -109,11 +109,11 @@ def test_the_likelihood_is_smooth_where_impacts_are_foretold_to_jolt(problem):
         heights = np.array([at(followed, np.array([-0.1 + d])).loss for d in ways])
         return np.abs(np.diff(heights, 2)).max()
 
-    assert rough(plain.grounded(np.zeros(1))) < 0.2 * rough(plain)
+    assert rough(plain.grounded(Ground(problem, np.zeros(1)))) < 0.2 * rough(plain)
 
 
 def test_some_recordings_are_led_as_among_all(problem):
-    led = Followed(problem, 25.0).grounded(np.zeros(1))
+    led = Followed(problem, 25.0).grounded(Ground(problem, np.zeros(1)))
     fit = at(led, np.zeros(1))
     rows = np.array([1, 3])
     np.testing.assert_allclose(fit.followed.only(rows).errors(np.zeros((1, 1)))[0], fit.only(rows).errors, atol=1e-9)
@@ -122,7 +122,7 @@ def test_some_recordings_are_led_as_among_all(problem):
 def test_buoyancy_predicts_what_less_gravity_does(tmp_path):
     study = make_study(tmp_path / "study", XML, PSI, throws(gravity=[0, 0, -9.3]))
     problem = make_problem(Simulator(study))
-    led = Followed(problem, 25.0).grounded(np.zeros(1))
+    led = Followed(problem, 25.0).grounded(Ground(problem, np.zeros(1)))
     pool = {p.effect.name: p for p in candidates(problem)}
 
     def pair(name, z):

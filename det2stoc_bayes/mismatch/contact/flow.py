@@ -30,6 +30,11 @@ class Ground:
     holds: bool = False
     share: float = 1.0  # of the jolts
     made: dict[tuple[int, float], tuple[Segments, Made]] = field(default_factory=dict)  # by segments and memory
+    first: dict[tuple[int, float], tuple[Segments, ContactFlow]] = field(default_factory=dict)  # of a first round
+
+    def regarding(self, holds: bool, share: float) -> "Ground":
+        """The same with other beliefs of contact; what does not depend on them is shared."""
+        return replace(self, holds=holds, share=share, made={})
 
     def observer(self, segments: Segments, memory: float) -> Made:
         """The observer of some recordings, as `make_observer` has it, found once for all hypotheses."""
@@ -38,8 +43,10 @@ class Ground:
             problem = self.problem.on(segments)
             z = self.problem.carry(self.z, problem)
             made = make_observer(problem, memory)
-            for _ in range(NUM_ROUNDS):
-                flow = contact_flow(problem, made[0], z)
+            if key not in self.first:
+                self.first[key] = segments, contact_flow(problem, made[0], z)
+            for k in range(NUM_ROUNDS):
+                flow = contact_flow(problem, made[0], z) if k else self.first[key][1]
                 kept = flow.kept if self.holds else np.ones_like(flow.kept)
                 made = make_observer(problem, memory, ContactFlow(kept, self.share * flow.grown))
             self.made[key] = segments, made

@@ -187,9 +187,9 @@ class Followed:
         some.__dict__["_made"] = replace(observer, **parts), spread[rows]
         return some
 
-    def grounded(self, z: Float[np.ndarray, " size"], holds: bool = False, share: float = 1.0) -> "Followed":
-        """The same, led with regard to what contact does to its simulations at these unknowns."""
-        return replace(self, ground=Ground(self.problem, z, holds, share))
+    def grounded(self, ground: Ground) -> "Followed":
+        """The same, led with regard to what contact does to a hypothesis' simulations."""
+        return replace(self, ground=ground)
 
     def on(self, recordings: Sequence[Recording]) -> "Followed":
         """The same hypothesis on other recordings."""

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
+from det2stoc_bayes.mismatch.contact.flow import Ground
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.regions import bordered
 from det2stoc_bayes.mismatch.contact.scales import certainty
@@ -17,6 +18,7 @@ from det2stoc_bayes.mismatch.evidence import log_det
 
 MEMORIES = (3.0, 6.0, 12.0, 25.0, 50.0, 200.0)  # samples
 REGARDS = ((False, 1.0), (True, 1.0), (True, 0.1))  # whether contact holds bodies, and the share of its jolts
+WORSE = 2  # memories in a row
 SKETCH = 3  # iterations of what was screened
 FAR = 1.5  # prior sds of some psi beyond which what is missing has led it there, and a small step of it does nothing
 FINER_CERTAIN = 2.0  # standard errors by which a finer integration must tell recordings better
@@ -91,7 +93,9 @@ def grounded(fit: ContactFit) -> ContactFit:
     What slides is held by its floor and jolted little, though noise that is drawn anew throws simulations of it out of
     the floor; where something is missing, what holds a simulation may not hold the body.
     """
-    fits = [climbed(fit_followed(fit.followed.grounded(fit.z, *way), fit.z, like=fit)) for way in REGARDS]
+    ground = Ground(fit.problem, fit.z)
+    led = [fit.followed.grounded(ground.regarding(*way)) for way in REGARDS]
+    fits = [climbed(fit_followed(followed, fit.z, like=fit)) for followed in led]
     return min((fit, *fits), key=lambda f: f.loss)
 
 
@@ -105,9 +109,13 @@ def climbed(fit: ContactFit) -> ContactFit:
 def longer_by_one(fit: ContactFit) -> ContactFit | None:
     """The same hypothesis fitted with that longer memory which serves it best as it is, or else with the next one.
 
-    None where it has the longest.
+    None where it has the longest. None is looked at beyond WORSE that serve it less.
     """
-    tried = [at(fit.followed.remembering(m), fit.z) for m in MEMORIES if m > fit.followed.memory]
+    tried: list[ContactFit] = []
+    for memory in (m for m in MEMORIES if m > fit.followed.memory):
+        tried.append(at(fit.followed.remembering(memory), fit.z))
+        if len(tried) >= WORSE and all(f.loss > fit.loss for f in tried[-WORSE:]):
+            break
     if not tried:
         return None
     best = min(tried, key=lambda f: f.loss)
