@@ -18,6 +18,7 @@ REACHES = (0.6, 0.3, 0.15, 0.07)
 MOST_STEPS = 4  # at each of them
 WORTH_A_STEP = 1.0  # nats
 NUM_OTHERS = 3  # trials of an effect that are kept beside its best
+FORGOTTEN_EVERY = 32  # trials: what explains least is dropped, for responses are large
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +53,13 @@ def screen(
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
     by_trial = Changes(fit)
-    for placed, trial, columns in by_trial.every(new, advance):
+    for number, (placed, trial, columns) in enumerate(by_trial.every(new, advance), 1):
         found = beside.judge(placed, trial, columns)
         if found is not None:
             trials[placed] = _kept([*trials.get(placed, ()), found])
+        if number % FORGOTTEN_EVERY == 0:
             _forget(trials)
+    _forget(trials)
     for placed in sorted(trials, key=lambda placed: -trials[placed][0].log_evidence)[:NUM_SHARPENED]:
         trials[placed] = _sharpened(trials[placed], beside, by_trial)
     return sorted((replace(t[0], others=tuple(t[1:])) for t in trials.values()), key=lambda s: -s.log_evidence)
