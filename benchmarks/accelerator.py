@@ -60,7 +60,7 @@ def densities(name: str) -> Iterator[dict[str, Any]]:
             "c": rate(lambda z=z: plain.log_likelihood_by_recording(z), size),
             "mjx": rate(lambda z=z: values(jnp.asarray(z)).block_until_ready(), size),
             "mjx and gradient": rate(lambda z=z: slopes(z), size),
-            "seconds to compile": first,
+            "seconds of a first call": first,
             "apart": float(apart),
         }
 
@@ -79,14 +79,16 @@ def transitions(count: int) -> dict[str, Any]:
         "unit": "transitions/s",
         "c": rate(lambda: windy_slope.simulate(psi), count * windy_slope.NUM_STEPS),
         "mjx": mjx,
-        "seconds to compile": first,
+        "seconds of a first call": first,
     }
 
 
 def row(line: dict[str, Any]) -> str:
     """As Markdown."""
     fast = " | ".join(f"{line[k]:,.0f}" if k in line else "" for k in ("c", "mjx", "mjx and gradient"))
-    return f"| {line['problem']} | {line['at once']} | {line['unit']} | {fast} | {line['seconds to compile']:.0f} |"
+    return (
+        f"| {line['problem']} | {line['at once']} | {line['unit']} | {fast} | {line['seconds of a first call']:.0f} |"
+    )
 
 
 def main() -> int:
@@ -96,7 +98,9 @@ def main() -> int:
     given = parser.parse_args()
     about = {"commit": revision(), "device": jax.devices()[0].device_kind, "cores": os.cpu_count()}
     print(f"{about['device']} beside {about['cores']} cores")
-    print("| problem | at once | unit | C | MJX | MJX with gradient | s to compile |\n|---|---|---|---|---|---|---|")
+    print(
+        "| problem | at once | unit | C | MJX | MJX with gradient | s of a first call |\n|---|---|---|---|---|---|---|"
+    )
     for line in chain(*map(densities, PROBLEMS), map(transitions, EPISODES)):
         append(given.log, about | line)
         print(row(line), flush=True)

@@ -87,7 +87,8 @@ def summary(lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     yield "| problem | simulations | npe | npe + PSIS | k-hat too high | published | seeds | s a fit |"
     yield "|---|---|---|---|---|---|---|---|"
     for name, (k, budget) in itertools.product(PROBLEMS, enumerate(BUDGETS)):
-        own = [one for one in lines if one["problem"] == name and one["simulations"] == budget]
+        last = {x["seed"]: x for x in lines if x["problem"] == name and x["simulations"] == budget}
+        own = list(last.values())
         if own:
             cells = [_mean([one[way] for one in own]) for way in WAYS]
             k_hat = np.mean([one["k_hat"] for one in own], 0)

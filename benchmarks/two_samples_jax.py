@@ -33,7 +33,7 @@ def c2sts(
     seed: int = 1,
     num_folds: int = 5,
 ) -> Float[np.ndarray, " pairs"]:
-    """`c2st` of many pairs, all at once: on a GPU a hundred take little longer than one."""
+    """`c2st` of many pairs, all at once."""
     count = min(draws.shape[1], reference.shape[1]) // num_folds * num_folds
     center, scale = draws.mean(1, keepdims=True), draws.std(1, ddof=1, keepdims=True)
     scale = np.where(scale > 0, scale, 1.0)

@@ -212,7 +212,7 @@ def iterate(
         held = simulated[judged]
         summits, _ = Episodes.of(cvae, *scaling.standard(held), held.episode).posteriors()
         firsts = np.unique(held.episode, return_index=True)[1]
-        means, covariances = calibrated(means, summits, true[judged][firsts])
+        means, covariances = calibrated(means[:, own], summits[:, own], true[judged][firsts])
     means, covariances = means[:, own], covariances[:, own, own]
     centre, spread = population_draws(means, covariances, keys[3], NUM_DRAWS, varies)
     learned_prior = cvae.prior if isinstance(cvae.prior, LatentMixture) else None

@@ -17,6 +17,7 @@ import numpyro.distributions as dist
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from numpyro.infer import MCMC, NUTS
 
+from det2stoc_bayes.errors import SamplingFailed
 from det2stoc_bayes.inference._cvae import Cvae, normal
 
 STEPS = 60
@@ -136,6 +137,8 @@ def calibrated(
     2010). Regressed the other way round, z on summits, chance makes some directions told less than nothing.
     """
     inputs = np.concatenate([true, np.ones((len(true), 1))], 1)
+    if len(true) < (least := inputs.shape[1] + simulated.shape[1]):
+        raise SamplingFailed(f"summits of {len(true)} simulated episodes calibrate none; allowed: {least} at least")
     gain, *_ = np.linalg.lstsq(inputs, simulated)
     left = simulated - inputs @ gain
     scatter = left.T @ left / (len(true) - inputs.shape[1])

@@ -36,6 +36,13 @@ def test_the_best_classifier_of_shifted_gaussians(c2st, shift):
     assert c2st(gaussian(0, shift), gaussian(1)) == pytest.approx(best, abs=3 * 0.008)
 
 
+def test_pairs_at_once_are_as_each_alone():
+    draws, reference = (np.stack([gaussian(s, shift) for shift in (0.0, 0.5, 1.5)]) for s in (0, 1))
+    alone = [two_samples_jax.c2st(a, b) for a, b in zip(draws + 0.3, reference, strict=True)]
+    np.testing.assert_allclose(two_samples_jax.c2sts(draws + 0.3, reference), alone, atol=0.004)
+    assert np.ptp(alone) < 0.05 < abs(two_samples_jax.c2st(draws[2], reference[0]) - 0.5)
+
+
 def test_of_unequal_sets_as_many_are_taken():
     c2st = two_samples.c2st
     assert abs(c2st(gaussian(0)[:500], gaussian(1)) - 0.5) < 3 * 0.016

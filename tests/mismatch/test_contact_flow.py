@@ -112,6 +112,17 @@ def test_the_likelihood_is_smooth_where_impacts_are_foretold_to_jolt(problem):
     assert rough(plain.grounded(Ground(problem, np.zeros(1)))) < 0.2 * rough(plain)
 
 
+def test_other_regards_of_the_same_ground_are_as_if_found_alone(problem):
+    ground = Ground(problem, np.zeros(1))
+    shared = [ground.regarding(*way) for way in ((False, 1.0), (True, 0.1))]
+    alone = [Ground(problem, np.zeros(1), *way) for way in ((False, 1.0), (True, 0.1))]
+    gains = [g.observer(problem.segments, 25.0)[0].gains for g in (*shared, *alone)]
+    assert len(ground.first) == 1
+    for one, other in zip(gains[:2], gains[2:], strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert not np.array_equal(gains[0], gains[1])
+
+
 def test_some_recordings_are_led_as_among_all(problem):
     led = Followed(problem, 25.0).grounded(Ground(problem, np.zeros(1)))
     fit = at(led, np.zeros(1))

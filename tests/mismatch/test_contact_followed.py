@@ -297,6 +297,16 @@ def test_sensitivities_that_are_known_nearby_are_not_found_anew():
     np.testing.assert_array_equal(again, columns)
 
 
+def test_sensitivities_that_served_for_two_steps_are_not_those_of_the_end(problem, sliding):
+    """Where a fit ends they are found anew, however it came there; two steps a set are at least as far as one."""
+    followed = Followed(problem, 6.0).hearing(sliding)
+    fits = [fit_followed(followed, np.full(1, start), iterations=n) for start in (0.5, -0.8) for n in (1, 2, 10)]
+    assert [f.known for f in fits] == [None] * 6
+    there = at(followed, fits[2].z, fits[2].scales)
+    np.testing.assert_allclose(fits[2].columns, there.columns, atol=1e-9)
+    assert fits[2].loss <= fits[1].loss <= fits[0].loss
+
+
 def test_a_fit_that_is_taught_by_one_nearby_ends_at_the_same_place(problem, sliding):
     """Far from it its sensitivities do not serve, and with another memory neither."""
     followed = Followed(problem, 6.0).hearing(sliding)

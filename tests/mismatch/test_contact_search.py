@@ -81,6 +81,21 @@ def test_a_base_that_is_told_better_where_an_addition_led_psi_goes_there(followe
     assert search.better_base(stuck, []) is stuck
 
 
+def test_where_all_lose_evidence_none_is_looked_at_further(followed, problem, pool, monkeypatch):
+    """What gains at all goes on, for a longer memory may tell it better."""
+    drag, went_on = named(pool, "linear_drag"), []
+    right, wrong = (pair_of(followed, [z_of(problem, f * TRUTH)]) for f in (1.0, 0.5))
+    more = pair_of(followed, [z_of(problem, TRUTH), 0.0], drag)
+    monkeypatch.setattr(search, "_screened", lambda *_: [])
+    monkeypatch.setattr(search, "near_remembered", lambda base, found, _: went_on.append(base) or found)
+    monkeypatch.setattr(search, "smoothed", lambda base, found, *_: (base, found, search.LUCK))
+    for base, found in ((right, []), (right, [more]), (wrong, [more])):
+        monkeypatch.setattr(search, "refined", lambda *_, found=found: found)
+        one = search.look(base, pool, quiet)
+        assert one.refined == tuple(found) and one.taken is None
+    assert more.gain(right) < 0 < more.gain(wrong) and went_on == [wrong]
+
+
 def test_a_missing_drag_is_screened_and_fitted(problem, followed, pool):
     """Recordings are those of a puck with drag, by plain MuJoCo; size and friction are found beside each other."""
     study = problem.simulator.study

@@ -156,19 +156,20 @@ def fit_followed(
 ) -> ContactFit:
     """The most likely unknowns from `z`, or from the best of it and `others`; those `held` stay.
 
-    `like` is a fit nearby, perhaps without the last unknowns, whose sensitivities are not found anew. Those of a point
-    serve for a second step from where the first one led, if that is near.
+    `like` is a fit nearby, perhaps without the last unknowns, whose sensitivities are not found anew. So often as
+    `iterations` they are found; they serve for a second step as well, if the first one was short.
     """
     z = np.zeros(followed.problem.size) if z is None else np.array(z, float)
     fit = _best(followed, np.stack([z, *others]))
     fit = fit if like is None else _taught(fit, like)
     again = False
     while iterations > 0:
-        iterations -= not again
+        iterations = iterations if again else iterations - 1
         step, taught = _step(fit, held), fit.known is not None
         found = _best(followed, np.stack([within(fit, fit.z + f * step) for f in FRACTIONS]))
         gain, (columns, sizes) = fit.loss - found.loss, fit.differences
-        near = not taught and iterations > 0 and np.abs(found.z - fit.z).max(initial=0.0) < NEAR
+        more = not taught and iterations > 0 and gain >= SETTLED
+        near = more and np.abs(found.z - fit.z).max(initial=0.0) < NEAR
         if gain > 0:
             fit = replace(found, sizes=sizes, known=columns if near else None)
         elif taught:

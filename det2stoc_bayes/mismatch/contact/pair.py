@@ -18,7 +18,7 @@ from det2stoc_bayes.mismatch.evidence import log_det
 
 MEMORIES = (3.0, 6.0, 12.0, 25.0, 50.0, 200.0)  # samples
 REGARDS = ((False, 1.0), (True, 1.0), (True, 0.1))  # whether contact holds bodies, and the share of its jolts
-WORSE = 2  # memories in a row
+MOST_WORSE = 2  # memories
 SKETCH = 3  # iterations of what was screened
 FAR = 1.5  # prior sds of some psi beyond which what is missing has led it there, and a small step of it does nothing
 FINER_CERTAIN = 2.0  # standard errors by which a finer integration must tell recordings better
@@ -109,12 +109,12 @@ def climbed(fit: ContactFit) -> ContactFit:
 def longer_by_one(fit: ContactFit) -> ContactFit | None:
     """The same hypothesis fitted with that longer memory which serves it best as it is, or else with the next one.
 
-    None where it has the longest. None is looked at beyond WORSE that serve it less.
+    None where it has the longest. Memories beyond MOST_WORSE in a row that serve it less are not looked at.
     """
     tried: list[ContactFit] = []
     for memory in (m for m in MEMORIES if m > fit.followed.memory):
         tried.append(at(fit.followed.remembering(memory), fit.z))
-        if len(tried) >= WORSE and all(f.loss > fit.loss for f in tried[-WORSE:]):
+        if len(tried) >= MOST_WORSE and all(f.loss > fit.loss for f in tried[-MOST_WORSE:]):
             break
     if not tried:
         return None

@@ -11,7 +11,7 @@ from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.judge import Verdict, judged
 from det2stoc_bayes.mismatch.contact.pair import Pair, believed, paired
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
-from det2stoc_bayes.mismatch.contact.search import LUCK, MAX_EFFECTS, Progress, Round, look
+from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
 from det2stoc_bayes.mismatch.contact.top import topped
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.problem import Problem
@@ -38,8 +38,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     pool = [] if alone else candidates(before.fit.problem, elements_of(before.fit))
     base, rounds = before, []
     while len(rounds) < MAX_EFFECTS:
-        luck = rounds[-1].luck if rounds else LUCK
-        one = look(base, pool, progress, seed, luck) if pool else Round(base, (), (), None)
+        one = look(base, pool, progress, seed) if pool else Round(base, (), (), None)
         before = one.base if not rounds else before
         rounds.append(one)
         base = one.taken or one.base

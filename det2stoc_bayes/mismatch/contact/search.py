@@ -33,7 +33,7 @@ NUM_SKETCHED = 10  # the most promising candidates, of which some steps are made
 NUM_REFINED = 5  # and the best of them, which are fitted to the end
 ALSO = 0.3  # of what an effect's best trial promises: what another of them must
 BEGUN, DRAWN = 0.2, 0.4  # of the best's gain: who has less after a first step, or a sketch, goes no further
-LEAST_PROMISE = 0.3  # of what an addition must earn: what promises less is not fitted, what gains less goes no further
+LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less is not fitted
 MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
 NEAR, LEAST_NEAR = 0.3, 30.0  # share of the best's gain, and nats, behind which none comes near any more
 LEAST_CERTAIN = 3.0  # standard errors of the gain over blocks: of those fitted
@@ -59,24 +59,24 @@ class Round:
     luck: float = LUCK  # nats by which fits of the same hypothesis differ
 
 
-def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int = 0, luck: float = LUCK) -> Round:
+def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int = 0) -> Round:
     """Screen all, fit the few best, and take the best if recordings that were not fitted ask for it.
 
-    A leader's rivals are looked for once more where it ended, for psi is another there. `luck`: how high the
-    likelihood's bumps about the base are, nats.
+    A leader's rivals are looked for once more where it ended, for psi is another there. Where all lose evidence there,
+    none is looked at further.
     """
     others = [p for p in pool if p not in base.fit.problem.effects]
     ground = nearer(base.fit)
     screened = _screened(ground, others, progress)
-    least = LEAST_PROMISE * max(threshold(len(others)), luck)
+    least = LEAST_PROMISE * threshold(len(others))
     found = refined(base, ground, [s for s in screened if s.gain > least], progress)
     if found and found[0].gain(base) > LOOK_AGAIN:
         there = nearer(without_last(found[0], ground.followed.memory))
         again = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
         again = refined(base, there, [s for s in again if s.gain > least], progress)
         found = best_of_each([*found, *again])
-    if not found or found[0].gain(base) < least:
-        return Round(base, tuple(screened), tuple(found), None, luck)
+    if not found or found[0].gain(base) <= 0:
+        return Round(base, tuple(screened), tuple(found), None)
     found = near_remembered(base, found, progress)
     base, found, luck = smoothed(better_base(base, found), found, progress, seed)
     rivals = [p.placed for p in found]
