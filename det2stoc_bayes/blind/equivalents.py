@@ -27,6 +27,8 @@ IMITATORS = (
     "armature inertia_error mass_error payload_mass com_offset actuator_gain gravity_error joint_spring",
     "added_mass armature mass_error payload_mass inertia_error",
     "buoyancy gravity_error mass_error com_offset constant_force",
+    # along one slide a frame's turn is a push and a spring
+    "rotating_frame constant_force actuator_bias sensor_bias gravity_tilt joint_spring",
     # losses in proportion to speed, and its square
     "viscous_damping linear_drag torque_speed_limit actuator_lag",
     "quadratic_damping quadratic_drag linear_drag steady_wind",

@@ -99,6 +99,7 @@ SHAKEN = Effect("base_vibration", "world", "world", {"amplitude": [0.01, 0.005, 
         ("slider", Effect("sensor_bias", "sensor", "qpos/rail", {"offset": 0.02}), "constant_force"),
         ("slider", Effect("constant_force", "joint", "rail", {"force": 0.8}), "gravity_tilt"),
         ("slider", SHAKEN, "periodic_force"),
+        ("slider", Effect("rotating_frame", "world", "world", {"rate": [0.29, -0.58, -0.77]}), "constant_force"),
         ("pendulum", Effect("actuator_bias", "actuator", "drive", {"offset": 0.05}), "constant_force"),
     ],
 )
