@@ -208,12 +208,12 @@ def iterate(
     divergences = 0.5 * (q_variance + q_mean**2 - 1 - np.log(q_variance))
     loc, sd, own = believed.loc, believed.scale, slice(len(believed.loc))
     means, covariances = Episodes.of(cvae, x, y, real.episode).posteriors()
+    means, covariances = means[:, own], covariances[:, own, own]
     if judged.any():
         held = simulated[judged]
         summits, _ = Episodes.of(cvae, *scaling.standard(held), held.episode).posteriors()
         firsts = np.unique(held.episode, return_index=True)[1]
-        means, covariances = calibrated(means[:, own], summits[:, own], true[judged][firsts])
-    means, covariances = means[:, own], covariances[:, own, own]
+        means, covariances = calibrated(means, summits[:, own], true[judged][firsts])
     centre, spread = population_draws(means, covariances, keys[3], NUM_DRAWS, varies)
     learned_prior = cvae.prior if isinstance(cvae.prior, LatentMixture) else None
     return Iteration(

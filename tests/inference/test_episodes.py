@@ -155,9 +155,9 @@ def test_chance_makes_no_direction_told_less_than_nothing():
 
 
 def test_summits_that_tell_little_make_no_population_of_their_own():
-    random = np.random.default_rng(22)  # psi regressed on summits: a mean beyond 30 prior sds
+    random = np.random.default_rng(22)  # psi regressed on summits: sds of 263 and 388
     simulated, true = random.standard_normal((60, 2)), 0.3 * random.standard_normal((10, 2))
     followed, known = (0.33 * z + random.standard_normal(z.shape) for z in (true, simulated))
     mu, sigma = population_draws(*calibrated(followed, known, simulated), jax.random.key(0), 500)
-    assert (np.abs(mu.mean(0)) < 4 * mu.std(0)).all()  # measured: 1.6 and 0.6
+    assert (np.abs(mu.mean(0)) < 4 * mu.std(0)).all()  # measured: 1.6 and 0.5
     assert (sigma.mean(0) < 1.5).all() and (np.abs(mu) < 15).all()  # priors: half-normal of 1; sd of 3

@@ -156,8 +156,8 @@ def fit_followed(
 ) -> ContactFit:
     """The most likely unknowns from `z`, or from the best of it and `others`; those `held` stay.
 
-    `like` is a fit nearby, perhaps without the last unknowns, whose sensitivities are not found anew. So often as
-    `iterations` they are found; they serve for a second step as well, if the first one was short.
+    `like` is a fit nearby, perhaps without the last unknowns, whose sensitivities are not found anew. They are
+    found for `iterations` steps, and serve for a second one as well where a step was short.
     """
     z = np.zeros(followed.problem.size) if z is None else np.array(z, float)
     fit = _best(followed, np.stack([z, *others]))
@@ -168,10 +168,10 @@ def fit_followed(
         step, taught = _step(fit, held), fit.known is not None
         found = _best(followed, np.stack([within(fit, fit.z + f * step) for f in FRACTIONS]))
         gain, (columns, sizes) = fit.loss - found.loss, fit.differences
-        more = not taught and iterations > 0 and gain >= SETTLED
-        near = more and np.abs(found.z - fit.z).max(initial=0.0) < NEAR
+        short = np.abs(found.z - fit.z).max(initial=0.0) < NEAR
+        serves = short and not taught and iterations > 0 and gain >= SETTLED
         if gain > 0:
-            fit = replace(found, sizes=sizes, known=columns if near else None)
+            fit = replace(found, sizes=sizes, known=columns if serves else None)
         elif taught:
             fit = replace(fit, sizes=sizes, known=None)
         if gain < SETTLED and not taught:
