@@ -173,9 +173,10 @@ def finding_tables(finding: "det2stoc_bayes.mismatch.finding.Finding") -> Render
 
 
 def _plain(value: Any, between: str = ", ") -> str:
-    """Numbers, or vectors of them, in short."""
+    """Numbers, or vectors of them, in short; `between`: within the innermost, as the bounds of an interval."""
     if isinstance(value, list | tuple):
-        return between.join(_plain(v) for v in value)
+        outer = any(isinstance(v, list | tuple) for v in value)
+        return (", " if outer else between).join(_plain(v, between) for v in value)
     return number(value) if isinstance(value, int | float) else MISSING if value is None else str(value)
 
 

@@ -80,9 +80,8 @@ def reveal(case: ConcealedCase, diagnosis: Mapping[str, Any], console: Console) 
         table.add_row("on", _element(truth), _element(given))
         for key in {**(truth or {}).get("parameters", {}), **(given or {}).get("parameters", {})}:
             value = truth["parameters"].get(key, "") if truth else ""
-            shown = f"{value:.4g}" if isinstance(value, float) else str(value).replace("[", r"\[")
             estimate = given["parameters"].get(key) if given else None
-            table.add_row(f"  {key}", shown, _estimate(estimate))
+            table.add_row(f"  {key}", _short(value), _estimate(estimate))
         alike = (truth["accepted"] if truth else (), (given or {}).get("equivalent") or ())
         texts = [", ".join(f"{other['name']} {_element(other)}".strip() for other in others) for others in alike]
         if any(texts):
@@ -115,7 +114,14 @@ def _estimate(entry: Mapping[str, Any] | str | None) -> str:
     interval, mean = entry.get("interval"), entry.get("mean")
     if isinstance(mean, int | float) and interval:
         return f"{mean:.4g} [{interval[0]:.4g}, {interval[1]:.4g}] {entry.get('unit', '')}".replace("[", r"\[", 1)
-    return str(mean if mean is not None else entry).replace("[", r"\[")
+    return _short(mean if mean is not None else entry)
+
+
+def _short(value: Any) -> str:
+    """Numbers, or lists of them, to four digits; anything else as it is."""
+    if isinstance(value, list):
+        return r"\[" + ", ".join(map(_short, value)) + "]"
+    return f"{value:.4g}" if isinstance(value, float) else str(value).replace("[", r"\[")
 
 
 def _mean_sd(after: Mapping[str, Any] | None) -> str:

@@ -257,6 +257,14 @@ def test_demo_reports_a_failed_diagnosis(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "demo-9" / "study" / "study.toml").is_file()
 
 
+def test_demo_shows_four_digits_of_vectors_too(capsys):
+    case = make_case(3, control=True, num_recordings=1, num_samples=40)
+    given = {"name": "rotating_frame", "element": {"kind": "world", "name": "world"}}
+    given |= {"parameters": {"rate": {"mean": [-0.98268470, 0.5], "interval": [[-1.0, -0.9], [0.4, 0.6]]}}}
+    demo.reveal(case, {"verdict": "mismatch", "effects": [given]}, Console(width=120))
+    assert "[-0.9827, 0.5]" in capsys.readouterr().out
+
+
 def test_demo_says_what_cannot_be_concealed(tmp_path, monkeypatch, capsys):
     def impossible(seed, **_):
         raise ValueError("psi cannot absorb it")

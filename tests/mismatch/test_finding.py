@@ -1,16 +1,19 @@
 """diagnosis.json: the shipped schema, what it refuses, and numbers that JSON does not have."""
 
 import copy
+import io
 import json
 import math
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from rich.console import Console
 
 from det2stoc_bayes.files import atomic_write, replacing
 from det2stoc_bayes.mismatch import finding as module
 from det2stoc_bayes.mismatch.finding import Finding, FindingInvalid, from_json, to_json, write_json
+from det2stoc_bayes.tables import finding_tables
 
 EXAMPLE = {
     "verdict": "mismatch",
@@ -191,6 +194,16 @@ def test_text_that_is_not_json_is_named() -> None:
 
 def test_variable_names_hold_no_slash() -> None:
     assert module.variable_name("friction_error", "box/floor", "ratio") == "friction_error[box:floor].ratio"
+
+
+def test_a_vectors_interval_is_shown_component_by_component() -> None:
+    told = copy.deepcopy(EXAMPLE)
+    rate = {"mean": [0.5, -0.25], "sd": [0.1, 0.1], "interval": [[0.3, 0.7], [-0.45, -0.05]], "unit": "rad/s"}
+    told["effects"][0]["parameters"]["rate"] = rate
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(finding_tables(Finding(**told)))
+    shown = console.export_text()
+    assert "0.5, -0.25" in shown and "0.3 to 0.7, -0.45 to -0.05" in shown and "0.29 to 0.33" in shown
 
 
 def test_write_replaces_the_file_whole(tmp_path) -> None:
