@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -80,7 +80,7 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     found = near_remembered(base, found, progress)
     base, found, luck = smoothed(better_base(base, found), found, progress, seed)
     rivals = [p.placed for p in found]
-    chance = cache(lambda: gain_by_chance(base, rivals, seed, progress))  # which takes long, and is seldom asked for
+    chance = partial(gain_by_chance, base, rivals, seed, progress)  # which takes long, and is seldom asked for
     needed = max(threshold(len(others)), luck)
     taken = found[0] if found and earns(base, found[0], needed, chance) else None
     return Round(base, tuple(screened), tuple(found), taken, luck)
@@ -203,10 +203,11 @@ def best_of_each(pairs: Sequence[Pair]) -> list[Pair]:
     return list(first.values())
 
 
-def earns(base: Pair, more: Pair, needed: float, chance: Callable[[], float]) -> bool:
+def earns(base: Pair, more: Pair, needed: float, chance: Callable[[float], float]) -> bool:
     """Whether an addition tells fitted and held-out recordings better than chance does.
 
-    Either most blocks say so, or few do by far more than `chance`, what is gained on data of the base's own making.
+    Either most blocks say so, or few do by far more than `chance`: what is gained on data of the base's own making,
+    looked for until it is too much.
     """
     if not (more.fit.z > more.fit.problem.floor + 1e-6).all() or more.gain(base) < needed:
         return False
@@ -217,13 +218,18 @@ def earns(base: Pair, more: Pair, needed: float, chance: Callable[[], float]) ->
         return sure > 2 * LEAST_CERTAIN
     if gains[~fitted].sum() < HELD_GAIN:
         return False
-    return sure >= LEAST_CERTAIN or bool(gains[fitted].sum() > TIMES * chance())
+    most = float(gains[fitted].sum()) / TIMES
+    return sure >= LEAST_CERTAIN or chance(most) < most
 
 
-def gain_by_chance(base: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress) -> float:
-    """The most that these gain on fitted recordings as the base itself would make them."""
+def gain_by_chance(
+    base: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress, most: float = np.inf
+) -> float:
+    """The most that these gain on fitted recordings as the base would make them; looked for until it is `most`."""
     best = 0.0
     for k in range(NUM_CHANCES):
+        if best >= most:
+            break
         progress("measuring chance", k, NUM_CHANCES)
         followed = replicated(base.fit, np.random.default_rng([seed, 7, k]))
         fit = fit_followed(followed, base.fit.z, iterations=3)
