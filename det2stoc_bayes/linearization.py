@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.engines.layout import position_difference
 from det2stoc_bayes.likelihood import LatentStarts, factorize, log_peak
 from det2stoc_bayes.problem import Problem, merge_requests, repeat_start
 from det2stoc_bayes.start_search import search_starts
+from det2stoc_bayes.unknowns import Unknowns
 
 UNKNOWN_STEP = 1e-5  # of a prior sd: at 1e-3 the second order stiffens flat valleys, at 1e-7 rounding shows
 START_STEP = 1e-4  # of a coordinate's spread: finite difference in an initial state
@@ -102,7 +103,10 @@ def linearize(
             z[1 + states + k, moved] += step
         requests.append(problem.request(z, problem.moved(start, change.reshape(-1, states))))
     predicted = simulate(points, requests)
-    return [_assemble(problem, point, p, m) for (problem, point), p, m in zip(points, predicted, moves, strict=True)]
+    return [
+        _assemble(problem, point, p, m, shared=unknowns == "all")
+        for (problem, point), p, m in zip(points, predicted, moves, strict=True)
+    ]
 
 
 def linearize_beside(base: Linearization, points: Sequence[tuple[Problem, Point]]) -> list[Linearization | None]:
@@ -139,7 +143,12 @@ def simulate(points, requests) -> list[np.ndarray]:
 
 
 def _assemble(
-    problem: Problem, point: Point, predicted: np.ndarray, moves: Sequence[tuple[np.ndarray, float]]
+    problem: Problem,
+    point: Point,
+    predicted: np.ndarray,
+    moves: Sequence[tuple[np.ndarray, float]],
+    *,
+    shared: bool,
 ) -> Linearization | None:
     states, count = problem.guess.scale.shape[0], problem.segments.count
     base = predicted[:count]
@@ -160,7 +169,8 @@ def _assemble(
         for k, i in enumerate(moved):
             mine = problem.segments.recording == k
             j[mine, :, i] = column[mine]
-    _follow_own(problem, point.z, j)
+    if shared:
+        follow_own(problem.unknowns, point.z, j, problem.segments.recording)
     error, measurement = r[0] * problem.weight, problem.measurement
     peak = log_peak(problem.weight, measurement)
     latent = factorize(a, problem.weight * measurement.slope(error), problem.guess.prior_sd, peak)
@@ -168,18 +178,23 @@ def _assemble(
     return Linearization(problem, point, latent, stacked, latent.stack(j))
 
 
-def _follow_own(problem: Problem, z: np.ndarray, columns: Float[np.ndarray, "segments values size"]) -> None:
+def follow_own(
+    unknowns: Unknowns,
+    z: Float[np.ndarray, " size"],
+    columns: Float[np.ndarray, "rows *values size"],
+    recording: Int[np.ndarray, " rows"],
+) -> None:
     """Sensitivities to what recordings share of a psi that varies, from those to their own values.
 
     Finite differences of both would differ by more than the recordings tell: mu and the own values would hold each
     other where they are, although a prediction sees only their sum.
     """
-    rows, recording = np.arange(problem.segments.count), problem.segments.recording
-    for block in problem.unknowns.varying:
-        own = columns[rows, :, block.first_own + recording]
+    rows = np.arange(len(columns))
+    for block in unknowns.varying:
+        own = columns[rows, ..., block.first_own + recording]
         for i, slope in enumerate(block.shared_slopes(z), block.begin):
-            if columns[..., i].any() and np.isfinite(slope).all():
-                columns[..., i] = own * slope[recording][:, None]
+            if np.isfinite(slope).all():
+                columns[..., i] = own * slope[recording].reshape(-1, *(1,) * (own.ndim - 1))
 
 
 def tangent(problem: Problem, start: Start) -> Float[np.ndarray, "segments states"]:

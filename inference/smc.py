@@ -33,7 +33,9 @@ NUM_CHAINS = 4  # groups of particles; so that every method's result has the sam
 LOWEST = -1e10  # log density ratio where a simulation diverged: finite, so that 0 times it is 0
 LEAST_STEP = 1e-9  # of b: below it tempering does not advance
 DEGREES = 5  # of freedom of the Student-t about the mode
-FORGOTTEN = 2  # unknowns a last stage: a random walk forgets where it began the more slowly the more there are
+FEWEST_LAST = (
+    2  # last stages, and one an unknown: a random walk forgets where it began the more slowly the more there are
+)
 RESCALE = 2.38  # of a random walk's step: Roberts, Gelman and Gilks (1997)
 
 
@@ -164,8 +166,8 @@ def fit(
     key: int | jax.Array,
     *,
     num_samples: int = 1000,
-    target_ess: float = 0.7,
-    num_moves: int = 10,
+    target_ess: float = 0.5,
+    num_moves: int = 5,
     max_stages: int = 200,
     initial: Literal["prior", "mode"] = "prior",
     progress: Progress | None = None,
@@ -189,7 +191,7 @@ def fit(
             key,
             target_ess=target_ess,
             num_moves=num_moves,
-            num_last=max(density.size // FORGOTTEN, 1),
+            num_last=max(density.size, FEWEST_LAST),
             max_stages=max_stages,
             progress=progress,
         )

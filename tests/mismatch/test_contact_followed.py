@@ -22,6 +22,7 @@ from det2stoc_bayes.mismatch.contact.search import Round
 from det2stoc_bayes.mismatch.contact.telling import telling
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
+from det2stoc_bayes.unknowns import Unknowns
 
 
 @pytest.fixture(scope="module")
@@ -253,7 +254,7 @@ def test_scales_of_one_column_are_its_own():
 class Waves(Followed):
     """Predictions that turn about within a fraction of a sd of the first unknown, and are straight in the last."""
 
-    size, floor = 2, np.full(2, -np.inf)
+    size, floor, unknowns = 2, np.full(2, -np.inf), Unknowns((), ())
     steps: list[tuple[int, float]]
     recording = cached_property(lambda _: np.zeros(1, int))
 
@@ -284,6 +285,20 @@ def test_sensitivities_are_taken_over_steps_on_which_both_sides_agree():
     assert waves.steps == [(0, sizes[0]), (1, sizes[1])]
     np.testing.assert_array_equal(same, sizes)
     np.testing.assert_array_equal(again, columns)
+
+
+def test_what_recordings_share_of_a_psi_moves_its_mean_and_not_each_of_its_values(tmp_path, sliding):
+    """A prediction sees the sum of both, of which only one has a prior that holds it for each recording."""
+    psi = PSI.replace("[noise]", 'varies = "trajectory"\n[noise]')
+    study = make_study(tmp_path / "study", XML.format(0.02), psi, slides())
+    problem = make_problem(Simulator(study, num_threads=1))
+    found = fit_followed(Followed(problem).hearing(sliding))
+    slopes = problem.unknowns.varying[0].shared_slopes(found.z)
+    own = np.stack([found.columns[found.followed.recording == r, ..., 1 + r] for r in range(4)])
+    mu = np.stack([found.columns[found.followed.recording == r, ..., 0] for r in range(4)])
+    np.testing.assert_allclose(np.nan_to_num(mu), np.nan_to_num(own * slopes[0, :, None, None, None]), atol=1e-12)
+    assert z_of(problem, TRUTH)[0] == pytest.approx(found.z[0], abs=0.15)  # measured: 0.006 of a prior sd
+    assert np.abs(found.z[1:]).max() < 0.5  # of the spread; measured: 0.26
 
 
 def test_sensitivities_that_are_known_nearby_are_not_found_anew():

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.linearization import follow_own
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.scales import Scales, scales_of, scatter
 from det2stoc_bayes.problem import Problem
@@ -209,7 +210,8 @@ def _columns(
     sizes = np.full(problem.size, np.nan) if sizes is None else sizes.copy()
     first = 0 if known is None else known.shape[-1]
     columns[..., :first] = 0.0 if known is None else known
-    probes = [which for which in problem.probes() if which[0] >= first]
+    shared = [i for block in problem.unknowns.varying for i in range(block.begin, block.first_own)]
+    probes = [which for which in problem.probes() if which[0] >= first and which[0] not in shared]
     given = [which for which in probes if np.isfinite(sizes[which[0]])]
     found = _differences(followed, z, errors, given, [float(sizes[which[0]]) for which in given])
     for which, (change, _) in zip(given, found, strict=True):
@@ -223,6 +225,7 @@ def _columns(
                 best[which[0]], sizes[which] = agreed, size
                 _put(columns, which, change, followed.recording)
         probes = [which for which in probes if best[which[0]] < SMOOTH]
+    follow_own(problem.unknowns, z, columns, followed.recording)
     return columns, sizes
 
 
