@@ -15,7 +15,7 @@ from det2stoc_bayes.blind.reality import PREROLL, shifted, simulate_reality
 from det2stoc_bayes.blind.sizing import Found
 
 STRETCH, APART = 20, 20  # samples, and from one stretch to the next
-LEAST, MOST = 0.5, 12.0  # RMS in noise sds, beside psi and beginnings, of stretches that an effect must have
+LEAST, MOST = 0.3, 12.0  # RMS in noise sds, beside psi and beginnings, of stretches that an effect must have
 WORST = 30.0  # noise sds at which a difference is cut off: contact that is made at another time
 FACTORS = (0.65, 0.8, 0.9, 1.1, 1.25, 1.5)  # of each psi: whether it hides a large effect
 SHIFT = 1e-4, 1e-3  # m or rad, and a second: by which a beginning is moved
