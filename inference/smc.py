@@ -33,9 +33,7 @@ NUM_CHAINS = 4  # groups of particles; so that every method's result has the sam
 LOWEST = -1e10  # log density ratio where a simulation diverged: finite, so that 0 times it is 0
 LEAST_STEP = 1e-9  # of b: below it tempering does not advance
 DEGREES = 5  # of freedom of the Student-t about the mode
-FEWEST_LAST = (
-    2  # last stages, and one an unknown: a random walk forgets where it began the more slowly the more there are
-)
+FEWEST_LAST = 2  # stages under the target, or one an unknown: a random walk forgets the more slowly
 RESCALE = 2.38  # of a random walk's step: Roberts, Gelman and Gilks (1997)
 
 
@@ -55,9 +53,9 @@ def temper(
     particles: Float[np.ndarray, "particles size"],
     key: int | jax.Array,
     *,
-    target_ess: float = 0.7,
-    num_moves: int = 10,
-    num_last: int = 1,
+    target_ess: float = 0.5,
+    num_moves: int = 5,
+    num_last: int = FEWEST_LAST,
     max_stages: int = 200,
     progress: Progress | None = None,
 ) -> Tempered:

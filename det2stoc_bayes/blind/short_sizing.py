@@ -15,8 +15,9 @@ from det2stoc_bayes.blind.reality import PREROLL, shifted, simulate_reality
 from det2stoc_bayes.blind.sizing import Found
 
 STRETCH, APART = 20, 20  # samples, and from one stretch to the next
-LEAST, MOST = 0.3, 12.0  # RMS in noise sds, beside psi and beginnings, of stretches that an effect must have
+LEAST, MOST = 0.15, 12.0  # RMS in noise sds, beside psi and beginnings, of stretches that an effect must have
 WORST = 30.0  # noise sds at which a difference is cut off: contact that is made at another time
+NEAR = 1.02  # of each psi: what small changes of it do
 FACTORS = (0.65, 0.8, 0.9, 1.1, 1.25, 1.5)  # of each psi: whether it hides a large effect
 SHIFT = 1e-4, 1e-3  # m or rad, and a second: by which a beginning is moved
 SIZES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15)  # of the largest
@@ -24,27 +25,48 @@ SIZES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15)  # of the largest
 
 @dataclass(frozen=True)
 class _Stretch:
-    """One stretch: where and when it begins, its inputs, and what is recorded without an effect."""
+    """One stretch of a probe's reality: the state in which it begins, when it is recorded, and its inputs."""
 
+    probe: Probe
     begin: np.ndarray
     times: np.ndarray
     inputs: np.ndarray
 
-    def recorded(self, probe: Probe, psi: dict[str, float], effects: Sequence[Effect] = ()) -> np.ndarray:
-        return simulate_reality(probe.system, psi, effects, self.begin, self.times, self.inputs, 1).columns
+    def changes(self, effect: Effect) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What an effect changes, in noise sds; beside other beginnings that, what each psi changes, and what is left.
 
-    def beginnings(self, probe: Probe, plain: np.ndarray) -> np.ndarray:
-        """An orthonormal basis of what other beginnings do."""
-        model = probe.system.compile(probe.psi)
-        steps = np.diag(np.repeat(SHIFT, model.nv))
-        others = [replace(self, begin=shifted(model, self.begin, step)).recorded(probe, probe.psi) for step in steps]
-        columns = np.stack([_whitened(probe, other, plain) for other in others], 1)
-        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-        return basis[:, sizes > 1e-6 * sizes[0]]
+        The last beside psi that are far off, one a column. NaN where a simulation diverges.
+        """
+        probe, plain = self.probe, self._recorded(self.probe.psi)
+
+        def whitened(columns: np.ndarray) -> np.ndarray:
+            return np.clip((columns - plain) / probe.system.noise(), -WORST, WORST).ravel()
+
+        change = whitened(self._recorded(probe.psi, (effect,)))
+        begins = np.stack([whitened(columns) for columns in self._begun_elsewhere()], 1)
+        near = np.stack([whitened(self._recorded(psi)) for psi in _moved(probe, NEAR)], 1)
+        far = np.stack([whitened(self._recorded(psi)) for factor in FACTORS for psi in _moved(probe, factor)], 1)
+        if not all(np.isfinite(part).all() for part in (change, begins, near, far)):
+            return change, np.full_like(change, np.nan), near, far
+        basis, sizes, _ = np.linalg.svd(begins, full_matrices=False)
+        basis = basis[:, sizes > 1e-6 * sizes[0]]
+        kept, near, left = (x - basis @ (basis.T @ x) for x in (change, near, change[:, None] - far))
+        return change, kept, near, left
+
+    def _recorded(self, psi: dict[str, float], effects: Sequence[Effect] = ()) -> np.ndarray:
+        return simulate_reality(self.probe.system, psi, effects, self.begin, self.times, self.inputs, 1).columns
+
+    def _begun_elsewhere(self) -> Iterator[np.ndarray]:
+        model = self.probe.scene.model
+        for step in np.diag(np.repeat(SHIFT, model.nv)):
+            yield replace(self, begin=shifted(model, self.begin, step))._recorded(self.probe.psi)
 
 
 def find_short(rng: np.random.Generator, probe: Probe, pair: tuple[str, str]) -> Found | None:
-    """An effect that psi and beginnings do not hide in short stretches; None where even the largest is too small."""
+    """An effect that psi and beginnings do not hide in short stretches; None where even the largest is too small.
+
+    ValueError: recordings too short for a stretch.
+    """
     name, element = pair
     law = LAWS[name]
     drawn, sign = law.draw(rng, probe.scene, element), float(rng.choice((-1.0, 1.0))) if law.signed else 1.0
@@ -62,25 +84,11 @@ def told(probe: Probe, effect: Effect) -> tuple[float, float]:
 
     NaN where a simulation diverges.
     """
-    changes, columns, afar = [], [], []
-    for stretch in _stretches(probe, effect):
-        plain = stretch.recorded(probe, probe.psi)
-        change = _whitened(probe, stretch.recorded(probe, probe.psi, (effect,)), plain)
-        if not np.isfinite(change).all():
-            return np.nan, np.nan
-        basis = stretch.beginnings(probe, plain)
-
-        def left(change: np.ndarray, basis: np.ndarray = basis) -> np.ndarray:
-            return change - basis @ (basis.T @ change)
-
-        changes.append((change, left(change)))
-        near = [_whitened(probe, stretch.recorded(probe, psi), plain) for psi in _moved(probe, 1.02)]
-        columns.append(np.stack([left(c) for c in near], 1))
-        far = [_whitened(probe, stretch.recorded(probe, psi), plain) for f in FACTORS for psi in _moved(probe, f)]
-        afar.append(np.stack([left(change - c) for c in far], 1))
-    whole, kept = (np.concatenate(part) for part in zip(*changes, strict=True))
-    basis, moved = np.concatenate(columns), np.concatenate(afar)
-    return min(_beside(basis, one) for one in (kept, *moved.T)), float(np.sqrt(np.mean(whole**2)))
+    parts = [stretch.changes(effect) for stretch in _stretches(probe, effect)]
+    change, kept, near, left = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if not np.isfinite(kept).all():
+        return np.nan, np.nan
+    return min(_beside(near, one) for one in (kept, *left.T)), float(np.sqrt(np.mean(change**2)))
 
 
 def _beside(basis: np.ndarray, change: np.ndarray) -> float:
@@ -92,16 +100,15 @@ def _moved(probe: Probe, factor: float) -> list[dict[str, float]]:
     return [probe.psi | {p.name: factor * probe.psi[p.name]} for p in probe.system.psi]
 
 
-def _whitened(probe: Probe, columns: np.ndarray, plain: np.ndarray) -> np.ndarray:
-    return np.clip((columns - plain) / probe.system.noise(), -WORST, WORST).ravel()
-
-
 def _stretches(probe: Probe, effect: Effect) -> Iterator[_Stretch]:
     """Stretches that start in states of a reality with the effect: a drag slows what it acts on, and is seldom seen."""
     times = probe.times
     lead = int(np.ceil(PREROLL / (times[1] - times[0]) - 1e-9))
+    if times.size < STRETCH + lead:
+        found = f"{probe.system.name}: recordings of {times.size} samples"
+        raise ValueError(f"{found}; allowed: {STRETCH + lead} or more where bodies touch")
     for start, inputs in zip(probe.starts, probe.inputs, strict=True):
         whole = simulate_reality(probe.system, probe.psi, (effect,), start, times, inputs, 1)
-        for k in range(0, times.size - STRETCH - lead, APART):
+        for k in range(0, times.size - STRETCH - lead + 1, APART):
             at = slice(k + lead, k + lead + STRETCH)
-            yield _Stretch(whole.states[k], times[at] - times[at][0] + PREROLL, inputs[at])
+            yield _Stretch(probe, whole.states[k], times[at], inputs[at])

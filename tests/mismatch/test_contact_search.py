@@ -166,10 +166,15 @@ def test_a_gain_that_few_blocks_have_must_be_far_beyond_chance(followed, problem
     gains = np.zeros(len(base.losses))
     gains[:2], gains[-1] = 50.0, 5.0
     more = gaining(base, more, gains)
-    chance = iter([10.0, 40.0])
     monkeypatch.setattr(search, "LEAST_BLOCKS", 1)
-    assert search.earns(base, more, 11.0, lambda _: next(chance))
-    assert not search.earns(base, more, 11.0, lambda _: next(chance))  # chance gains 40
+    asked = []
+
+    def chance(gain):
+        return lambda most: asked.append(most) or gain
+
+    assert search.earns(base, more, 11.0, chance(10.0))
+    assert not search.earns(base, more, 11.0, chance(40.0))
+    assert asked == pytest.approx(2 * [100.0 / search.TIMES])
     assert not search.earns(base, more, 200.0, lambda _: 0.0)  # less than an addition must earn
     gains[-1] = 1.0
     more = gaining(base, more, gains)
@@ -195,9 +200,10 @@ def test_chance_gains_little_where_nothing_is_missing(followed, problem, pool):
     few = [c for c in pool if c.effect.name in ("linear_drag", "gravity_error", "friction_error")]
     gain = search.gain_by_chance(base, few, 0, quiet)
     assert 0 <= gain < 20  # a few nats a parameter
-    made = []
-    assert search.gain_by_chance(base, few, 0, lambda _, k, of: made.append(k), most=0.0) <= gain
-    assert made == [search.NUM_CHANCES]  # none: there is enough before anything is made
+    for most, sets in ((np.inf, [*range(search.NUM_CHANCES + 1)]), (0.0, [search.NUM_CHANCES])):
+        made = []
+        search.gain_by_chance(base, few, 0, lambda _, k, of, made=made: made.append(k), most)
+        assert made == sets  # none is made where there is enough; the last is the end
 
 
 def test_a_lead_within_the_luck_of_fits_is_not_sure(followed, problem, pool):

@@ -15,6 +15,7 @@ from det2stoc_bayes.linearization import follow_own
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.scales import Scales, scales_of, scatter
 from det2stoc_bayes.problem import Problem
+from det2stoc_bayes.unknowns import Unknowns
 
 STEPS = (0.2, 0.04, 0.008)  # prior sds to either side: the first over which predictions are smooth enough
 SMOOTH = 0.7  # share of a sensitivity's square that both sides agree on
@@ -25,6 +26,7 @@ ITERATIONS = 10
 SETTLED = 0.1  # nats
 FARTHEST = 5.0  # prior sds of psi from its median
 NEAR = 0.3  # prior sds within which sensitivities serve for a step
+MOST_WIDER = 5.0  # population sds for one of the prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,16 +212,16 @@ def _columns(
     sizes = np.full(problem.size, np.nan) if sizes is None else sizes.copy()
     first = 0 if known is None else known.shape[-1]
     columns[..., :first] = 0.0 if known is None else known
-    shared = [i for block in problem.unknowns.varying for i in range(block.begin, block.first_own)]
+    shared, wider = _shared(problem.unknowns, z)
     probes = [which for which in problem.probes() if which[0] >= first and which[0] not in shared]
     given = [which for which in probes if np.isfinite(sizes[which[0]])]
-    found = _differences(followed, z, errors, given, [float(sizes[which[0]]) for which in given])
+    found = _differences(followed, z, errors, given, [float(sizes[w[0]]) * wider.get(int(w[0]), 1.0) for w in given])
     for which, (change, _) in zip(given, found, strict=True):
         _put(columns, which, change, followed.recording)
     probes = [which for which in probes if not np.isfinite(sizes[which[0]])]
     best = np.full(problem.size, -1.0)
     for size in STEPS:
-        found = _differences(followed, z, errors, probes, [size] * len(probes))
+        found = _differences(followed, z, errors, probes, [size * wider.get(int(w[0]), 1.0) for w in probes])
         for which, (change, agreed) in zip(probes, found, strict=True):
             if agreed > best[which[0]]:
                 best[which[0]], sizes[which] = agreed, size
@@ -227,6 +229,20 @@ def _columns(
         probes = [which for which in probes if best[which[0]] < SMOOTH]
     follow_own(problem.unknowns, z, columns, followed.recording)
     return columns, sizes
+
+
+def _shared(unknowns: Unknowns, z: np.ndarray) -> tuple[list[int], dict[int, float]]:
+    """Unknowns whose sensitivities follow from those of recordings' own values, and how much wider these are moved.
+
+    An own value is in sds of its population: as far as mu would move it, that is, by so many sds of the prior.
+    """
+    shared, wider = [], {}
+    for block in unknowns.varying:
+        slopes = block.shared_slopes(z)
+        if np.isfinite(slopes).all():
+            shared += range(block.begin, block.first_own)
+            wider[block.first_own] = float(np.clip(np.median(np.abs(slopes[0])), 1.0, MOST_WIDER))
+    return shared, wider
 
 
 def _put(columns: np.ndarray, which: np.ndarray, change: np.ndarray, recording: np.ndarray) -> None:
