@@ -92,7 +92,8 @@ def linearize(
     """
     requests, moves = [], []
     for problem, point in points:
-        states, probes = problem.guess.scale.shape[0], problem.probes(unknowns)
+        states, followed = problem.guess.scale.shape[0], problem.unknowns.followed(point.z)
+        probes = [which for which in problem.probes(unknowns) if which[0] not in followed]
         moves.append([(moved, problem.nudge(point.z, moved, UNKNOWN_STEP)) for moved in probes])
         variants = 1 + states + len(probes)
         start = repeat_start(point.start, variants)

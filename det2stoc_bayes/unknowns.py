@@ -120,6 +120,14 @@ class Unknowns:
         """All unknowns that belong to single recordings."""
         return np.concatenate([np.arange(0), *self.own])
 
+    def followed(self, z: Float[np.ndarray, " size"]) -> list[int]:
+        """mu, and sigma if unknown, of psi that vary: a prediction tells of them by recordings' own values alone.
+
+        None of a psi that stands still at z.
+        """
+        moving = [b for b in self.varying if np.isfinite(b.shared_slopes(z)).all()]
+        return [i for b in moving for i in range(b.begin, b.first_own)]
+
     def population(self, z: Array, xp: ModuleType = np) -> Array:
         """One value a psi (..., psi): mu where it varies."""
         columns = [b.population(z, xp) for b in self.blocks]

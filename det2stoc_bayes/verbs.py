@@ -221,4 +221,5 @@ def tempered(log_first: Any, log_target: Any, particles: "np.ndarray", seed: int
     """Particles moved from one density to another by `inference.smc`, imported only where it is needed."""
     from det2stoc_bayes.inference.smc import temper
 
-    return temper(log_first, log_target, particles, seed, num_moves=15, max_stages=40).particles
+    moved = temper(log_first, log_target, particles, seed, target_ess=0.7, num_moves=15, num_last=1, max_stages=40)
+    return moved.particles

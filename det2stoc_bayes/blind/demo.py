@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from det2stoc_bayes.blind.conceal import ConcealedCase, make_case
@@ -81,7 +82,7 @@ def reveal(case: ConcealedCase, diagnosis: Mapping[str, Any], console: Console) 
         for key in {**(truth or {}).get("parameters", {}), **(given or {}).get("parameters", {})}:
             value = truth["parameters"].get(key, "") if truth else ""
             estimate = given["parameters"].get(key) if given else None
-            table.add_row(f"  {key}", _short(value), _estimate(estimate))
+            table.add_row(f"  {key}", escape(_short(value)), escape(_estimate(estimate)))
         alike = (truth["accepted"] if truth else (), (given or {}).get("equivalent") or ())
         texts = [", ".join(f"{other['name']} {_element(other)}".strip() for other in others) for others in alike]
         if any(texts):
@@ -95,6 +96,8 @@ def reveal(case: ConcealedCase, diagnosis: Mapping[str, Any], console: Console) 
             f"{effect['name']} changes the recordings by {effect['change_in_noise_sds']:.1f} noise sds; refitting "
             f"psi and the initial states can hide part of that, {effect['size_in_noise_sds']:.1f} remain."
         )
+    if truths and found and {e["name"] for e in truths} != {e["name"] for e in found}:
+        console.print("psi are those beside the effect that was diagnosed; beside the concealed one they are others.")
     outcome = score(answer, diagnosis)
     right = outcome.verdict and outcome.named
     console.print("[bold green]Right.[/bold green]" if right else "[bold red]Not right.[/bold red]")
@@ -113,15 +116,15 @@ def _estimate(entry: Mapping[str, Any] | str | None) -> str:
         return entry
     interval, mean = entry.get("interval"), entry.get("mean")
     if isinstance(mean, int | float) and interval:
-        return f"{mean:.4g} [{interval[0]:.4g}, {interval[1]:.4g}] {entry.get('unit', '')}".replace("[", r"\[", 1)
+        return f"{mean:.4g} [{interval[0]:.4g}, {interval[1]:.4g}] {entry.get('unit', '')}"
     return _short(mean if mean is not None else entry)
 
 
 def _short(value: Any) -> str:
     """Numbers, or lists of them, to four digits; anything else as it is."""
     if isinstance(value, list):
-        return r"\[" + ", ".join(map(_short, value)) + "]"
-    return f"{value:.4g}" if isinstance(value, float) else str(value).replace("[", r"\[")
+        return f"[{', '.join(map(_short, value))}]"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _mean_sd(after: Mapping[str, Any] | None) -> str:

@@ -32,10 +32,10 @@ class _Stretch:
     times: np.ndarray
     inputs: np.ndarray
 
-    def changes(self, effect: Effect) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def changes(self, effect: Effect) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
         """What an effect changes, in noise sds; beside other beginnings that, what each psi changes, and what is left.
 
-        The last beside psi that are far off, one a column. NaN where a simulation diverges.
+        The last beside psi that are far off, one a column. None where a simulation diverges.
         """
         probe, plain = self.probe, self._recorded(self.probe.psi)
 
@@ -47,7 +47,7 @@ class _Stretch:
         near = np.stack([whitened(self._recorded(psi)) for psi in _moved(probe, NEAR)], 1)
         far = np.stack([whitened(self._recorded(psi)) for factor in FACTORS for psi in _moved(probe, factor)], 1)
         if not all(np.isfinite(part).all() for part in (change, begins, near, far)):
-            return change, np.full_like(change, np.nan), near, far
+            return None
         basis, sizes, _ = np.linalg.svd(begins, full_matrices=False)
         basis = basis[:, sizes > 1e-6 * sizes[0]]
         kept, near, left = (x - basis @ (basis.T @ x) for x in (change, near, change[:, None] - far))
@@ -84,10 +84,13 @@ def told(probe: Probe, effect: Effect) -> tuple[float, float]:
 
     NaN where a simulation diverges.
     """
-    parts = [stretch.changes(effect) for stretch in _stretches(probe, effect)]
+    parts = []
+    for stretch in _stretches(probe, effect):
+        found = stretch.changes(effect)
+        if found is None:
+            return np.nan, np.nan
+        parts.append(found)
     change, kept, near, left = (np.concatenate(part) for part in zip(*parts, strict=True))
-    if not np.isfinite(kept).all():
-        return np.nan, np.nan
     return min(_beside(near, one) for one in (kept, *left.T)), float(np.sqrt(np.mean(change**2)))
 
 

@@ -18,7 +18,8 @@ from det2stoc_bayes.transitions import Transitions
 
 STARTS = (12, 500)  # that each psi is tried from, and that covariances are found from
 QUICK, QUICKLY = 20, (4, 100)  # so few particles have so few starts
-NUM_MOVES = 1  # of a stage: from a Student-t at the mode two stages lead to the posterior
+TARGET_ESS = 0.7  # share of particles after a stage
+NUM_MOVES, NUM_LAST = 1, 1  # of a stage, and stages at the end: from a Student-t at the mode two lead to the posterior
 EXACT = 10  # names the randomness
 
 
@@ -57,7 +58,9 @@ def episode_posterior(
             lambda u: log_posterior(likelihood, summit + u @ scale.T),
             wide.rvs(num_particles, random_state=random),
             seed,
+            target_ess=TARGET_ESS,
             num_moves=NUM_MOVES,
+            num_last=NUM_LAST,
         )
     finally:  # SMC leaves double precision on, and networks then draw other numbers
         jax.config.update("jax_enable_x64", double)

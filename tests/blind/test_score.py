@@ -284,6 +284,16 @@ def test_demo_reveals_both_sides():
     shown = console.export_text()
     assert "constant_force" in shown and "[-9, 9]" in shown and "Right." in shown
     assert shown.count("or equally") == 1 and "actuator_bias actuator drive" in shown
+    assert "they are others" not in shown
+
+
+def test_demo_says_whose_psi_are_shown_where_an_equivalent_is_named():
+    """Beside a gravity that is tilted a pendulum weighs more than beside a sensor that is off."""
+    case = make_case(4, system="pendulum", effect="constant_force", num_recordings=1, num_samples=60)
+    given = entry("actuator_bias", "actuator", "drive", bias=estimate(0.1, 0.0, 0.2))
+    console = Console(record=True, width=120, file=io.StringIO())
+    demo.reveal(case, claim(given), console)
+    assert "beside the concealed one they are others" in console.export_text()
 
 
 def test_a_named_value_is_shown_as_it_is():

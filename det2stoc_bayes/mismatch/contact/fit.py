@@ -212,16 +212,16 @@ def _columns(
     sizes = np.full(problem.size, np.nan) if sizes is None else sizes.copy()
     first = 0 if known is None else known.shape[-1]
     columns[..., :first] = 0.0 if known is None else known
-    shared, wider = _shared(problem.unknowns, z)
-    probes = [which for which in problem.probes() if which[0] >= first and which[0] not in shared]
+    told, wider = problem.unknowns.followed(z), _wider(problem.unknowns, z, problem.size)
+    probes = [which for which in problem.probes() if which[0] >= first and which[0] not in told]
     given = [which for which in probes if np.isfinite(sizes[which[0]])]
-    found = _differences(followed, z, errors, given, [float(sizes[w[0]]) * wider.get(int(w[0]), 1.0) for w in given])
+    found = _differences(followed, z, errors, given, [float(sizes[w[0]] * wider[w[0]]) for w in given])
     for which, (change, _) in zip(given, found, strict=True):
         _put(columns, which, change, followed.recording)
     probes = [which for which in probes if not np.isfinite(sizes[which[0]])]
     best = np.full(problem.size, -1.0)
     for size in STEPS:
-        found = _differences(followed, z, errors, probes, [size * wider.get(int(w[0]), 1.0) for w in probes])
+        found = _differences(followed, z, errors, probes, [float(size * wider[w[0]]) for w in probes])
         for which, (change, agreed) in zip(probes, found, strict=True):
             if agreed > best[which[0]]:
                 best[which[0]], sizes[which] = agreed, size
@@ -231,18 +231,13 @@ def _columns(
     return columns, sizes
 
 
-def _shared(unknowns: Unknowns, z: np.ndarray) -> tuple[list[int], dict[int, float]]:
-    """Unknowns whose sensitivities follow from those of recordings' own values, and how much wider these are moved.
-
-    An own value is in sds of its population: as far as mu would move it, that is, by so many sds of the prior.
-    """
-    shared, wider = [], {}
+def _wider(unknowns: Unknowns, z: np.ndarray, size: int) -> Float[np.ndarray, " size"]:
+    """How much wider each unknown is moved: own values, in sds of their population, as far as mu moves them."""
+    wider = np.ones(size)
     for block in unknowns.varying:
-        slopes = block.shared_slopes(z)
-        if np.isfinite(slopes).all():
-            shared += range(block.begin, block.first_own)
-            wider[block.first_own] = float(np.clip(np.median(np.abs(slopes[0])), 1.0, MOST_WIDER))
-    return shared, wider
+        slope = np.median(np.abs(block.shared_slopes(z)[0]))
+        wider[block.first_own : block.stop] = np.clip(slope, 1.0, MOST_WIDER) if np.isfinite(slope) else 1.0
+    return wider
 
 
 def _put(columns: np.ndarray, which: np.ndarray, change: np.ndarray, recording: np.ndarray) -> None:
