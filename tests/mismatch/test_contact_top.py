@@ -7,6 +7,7 @@ import numpy as np
 from det2stoc_bayes.mismatch.contact.fit import at
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.top import topped
+from det2stoc_bayes.unknowns import Unknowns
 
 TRUTH = np.array([0.4, -0.3])
 
@@ -14,7 +15,7 @@ TRUTH = np.array([0.4, -0.3])
 class Rough(Followed):
     """A linear model of 400 samples of noise 1; of a sixth a contact is made or broken within a fraction of a sd."""
 
-    size, num_psi, floor, effects = 2, 2, np.full(2, -np.inf), ()
+    size, num_psi, floor, effects, unknowns = 2, 2, np.full(2, -np.inf), (), Unknowns((), ())
     recording = cached_property(lambda _: np.zeros(40, int))
     volumes = cached_property(lambda _: np.zeros(40))
     rough: float
