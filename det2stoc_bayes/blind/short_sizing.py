@@ -1,13 +1,15 @@
 """Sizes of effects where bodies touch: by short stretches, since longer ones are chaotic.
 
 Where a stretch begins is not known better than it is measured: what other beginnings absorb of an effect, stretch by
-stretch, does not show in recordings, nor does what another psi absorbs.
+stretch, does not show in recordings, nor does what another psi absorbs, which may be far off: evolution finds it where
+steps by derivatives, few samples being off by much, come to nothing.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from cmaes import CMA
 
 from det2stoc_bayes.blind.laws import LAWS, Effect
 from det2stoc_bayes.blind.probe import Probe
@@ -15,10 +17,11 @@ from det2stoc_bayes.blind.reality import PREROLL, shifted, simulate_reality
 from det2stoc_bayes.blind.sizing import Found
 
 STRETCH, APART = 20, 20  # samples, and from one stretch to the next
-LEAST, MOST = 0.15, 12.0  # RMS in noise sds, beside psi and beginnings, of stretches that an effect must have
+LEAST, MOST = 0.25, 12.0  # RMS in noise sds, beside psi and beginnings, of stretches that an effect must have
 WORST = 30.0  # noise sds at which a difference is cut off: contact that is made at another time
 NEAR = 1.02  # of each psi: what small changes of it do
-FACTORS = (0.65, 0.8, 0.9, 1.1, 1.25, 1.5)  # of each psi: whether it hides a large effect
+POPULATION, GENERATIONS = 8, 8  # that look for the psi which hides most
+FAR, SEED = 0.15, 3  # log factors of psi in which these begin
 SHIFT = 1e-4, 1e-3  # m or rad, and a second: by which a beginning is moved
 SIZES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15)  # of the largest
 
@@ -32,34 +35,38 @@ class _Stretch:
     times: np.ndarray
     inputs: np.ndarray
 
-    def changes(self, effect: Effect) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-        """What an effect changes, in noise sds; beside other beginnings that, what each psi changes, and what is left.
-
-        The last beside psi that are far off, one a column. None where a simulation diverges.
-        """
-        probe, plain = self.probe, self._recorded(self.probe.psi)
-
-        def whitened(columns: np.ndarray) -> np.ndarray:
-            return np.clip((columns - plain) / probe.system.noise(), -WORST, WORST).ravel()
-
-        change = whitened(self._recorded(probe.psi, (effect,)))
-        begins = np.stack([whitened(columns) for columns in self._begun_elsewhere()], 1)
-        near = np.stack([whitened(self._recorded(psi)) for psi in _moved(probe, NEAR)], 1)
-        far = np.stack([whitened(self._recorded(psi)) for factor in FACTORS for psi in _moved(probe, factor)], 1)
-        if not all(np.isfinite(part).all() for part in (change, begins, near, far)):
-            return None
-        basis, sizes, _ = np.linalg.svd(begins, full_matrices=False)
-        basis = basis[:, sizes > 1e-6 * sizes[0]]
-        kept, near, left = (x - basis @ (basis.T @ x) for x in (change, near, change[:, None] - far))
-        return change, kept, near, left
-
-    def _recorded(self, psi: dict[str, float], effects: Sequence[Effect] = ()) -> np.ndarray:
+    def recorded(self, psi: dict[str, float], effects: Sequence[Effect] = ()) -> np.ndarray:
+        """Without noise; NaN where the simulation diverges."""
         return simulate_reality(self.probe.system, psi, effects, self.begin, self.times, self.inputs, 1).columns
 
-    def _begun_elsewhere(self) -> Iterator[np.ndarray]:
+    def begun_elsewhere(self) -> Iterator[np.ndarray]:
+        """The same, each coordinate of the beginning moved."""
         model = self.probe.scene.model
         for step in np.diag(np.repeat(SHIFT, model.nv)):
-            yield replace(self, begin=shifted(model, self.begin, step))._recorded(self.probe.psi)
+            yield replace(self, begin=shifted(model, self.begin, step)).recorded(self.probe.psi)
+
+
+class _Change:
+    """What an effect changes in a stretch, in noise sds, and what other beginnings take up."""
+
+    def __init__(self, stretch: _Stretch, effect: Effect) -> None:
+        self.stretch, self.plain = stretch, stretch.recorded(stretch.probe.psi)
+        self.changed = stretch.recorded(stretch.probe.psi, (effect,))
+        self.whole = self._whitened(self.changed - self.plain)
+        begins = np.stack([self._whitened(columns - self.plain) for columns in stretch.begun_elsewhere()], 1)
+        if np.isfinite(begins).all():
+            basis, sizes, _ = np.linalg.svd(begins, full_matrices=False)
+            self.basis = basis[:, sizes > 1e-6 * sizes[0]]
+        else:
+            self.basis = begins  # what is left is NaN, too
+
+    def left(self, psi: dict[str, float]) -> np.ndarray:
+        """What the effect changes beyond what psi would, beside beginnings."""
+        change = self._whitened(self.changed - self.stretch.recorded(psi))
+        return change - self.basis @ (self.basis.T @ change)
+
+    def _whitened(self, columns: np.ndarray) -> np.ndarray:
+        return np.clip(columns / self.stretch.probe.system.noise(), -WORST, WORST).ravel()
 
 
 def find_short(rng: np.random.Generator, probe: Probe, pair: tuple[str, str]) -> Found | None:
@@ -84,23 +91,36 @@ def told(probe: Probe, effect: Effect) -> tuple[float, float]:
 
     NaN where a simulation diverges.
     """
-    parts = []
-    for stretch in _stretches(probe, effect):
-        found = stretch.changes(effect)
-        if found is None:
-            return np.nan, np.nan
-        parts.append(found)
-    change, kept, near, left = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return min(_beside(near, one) for one in (kept, *left.T)), float(np.sqrt(np.mean(change**2)))
+    changes = [_Change(stretch, effect) for stretch in _stretches(probe, effect)]
+    whole = float(np.sqrt(np.mean(np.concatenate([c.whole for c in changes]) ** 2)))
+    least = _beside_psi(changes, probe.psi)
+    return (least, whole) if np.isfinite(least) else (np.nan, np.nan)
 
 
-def _beside(basis: np.ndarray, change: np.ndarray) -> float:
-    """RMS of a change beside what small changes of psi take up."""
-    return float(np.sqrt(np.mean((change - basis @ np.linalg.lstsq(basis, change, rcond=1e-8)[0]) ** 2)))
+def _beside_psi(changes: Sequence[_Change], psi: dict[str, float]) -> float:
+    """The least RMS that is found on the way to the psi which hides most; NaN where its beginning diverges."""
 
+    def left(there: dict[str, float]) -> np.ndarray:
+        return np.concatenate([c.left(there) for c in changes])
 
-def _moved(probe: Probe, factor: float) -> list[dict[str, float]]:
-    return [probe.psi | {p.name: factor * probe.psi[p.name]} for p in probe.system.psi]
+    def near(there: dict[str, float]) -> float:
+        here = left(there)
+        moved = np.stack([here - left(there | {name: NEAR * value}) for name, value in there.items()], 1)
+        if not (np.isfinite(here).all() and np.isfinite(moved).all()):
+            return np.nan
+        return float(np.sqrt(np.mean((here - moved @ np.linalg.lstsq(moved, here, rcond=1e-8)[0]) ** 2)))
+
+    size = max(len(psi), 2)  # of one dimension CMA-ES knows nothing: another stands idle
+    search = CMA(mean=np.zeros(size), sigma=FAR, seed=SEED, population_size=POPULATION)
+    least, best = near(psi), psi
+    for _ in range(GENERATIONS if least >= LEAST else 0):
+        asked = [search.ask() for _ in range(POPULATION)]
+        tried = [{n: float(v * np.exp(f)) for (n, v), f in zip(psi.items(), x, strict=False)} for x in asked]
+        found = [float(np.nan_to_num(np.mean(left(there) ** 2), nan=WORST**2)) for there in tried]
+        search.tell(list(zip(asked, found, strict=True)))
+        if np.sqrt(min(found)) < least:
+            least, best = float(np.sqrt(min(found))), tried[int(np.argmin(found))]
+    return least if best is psi else float(np.fmin(least, near(best)))
 
 
 def _stretches(probe: Probe, effect: Effect) -> Iterator[_Stretch]:

@@ -9,17 +9,19 @@ from conftest import make_study
 from sliding import PSI, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact.believed import believed, searched
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.fit import STEPS, _columns, _taught, at, fit_followed, steady
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
 from det2stoc_bayes.mismatch.contact.judge import judged
-from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, believed, climbed, nearer, with_memory
+from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, climbed, nearer, with_memory, with_own
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.rollouts import LENGTH, rollouts
 from det2stoc_bayes.mismatch.contact.run import touches
 from det2stoc_bayes.mismatch.contact.scales import DEGREES, Scales, certainty, scales_of, scatter
 from det2stoc_bayes.mismatch.contact.search import Round
 from det2stoc_bayes.mismatch.contact.telling import telling
+from det2stoc_bayes.mismatch.contact.yardstick import yardstick
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 from det2stoc_bayes.unknowns import Unknowns
@@ -205,6 +207,26 @@ def test_the_believed_model_is_fitted_with_its_memory_and_what_it_tells(problem)
     assert isinstance(fine, bool) and pair.fit.scales is pair.held.scales
 
 
+def test_psi_is_looked_for_all_over_its_prior(problem, sliding):
+    z = searched(Followed(problem).hearing(sliding))
+    assert abs(z - z_of(problem, TRUTH)) < 0.3  # prior sds; measured: 0.02
+
+
+def test_what_is_left_is_measured_by_what_the_model_itself_would_leave(problem, sliding):
+    followed, recordings = Followed(problem).hearing(sliding), problem.simulator.study.recordings
+
+    def pair(friction):
+        fit, held = (followed.on(part) for part in (recordings[:3], recordings[3:]))
+        there = at(fit, z_of(problem, friction))
+        return Pair(there, at(held, there.z, there.scales))
+
+    wrong, right = pair(0.5 * TRUTH), pair(TRUTH)
+    rod = yardstick(right.fit, 0)
+    assert rod.left(wrong, right) < 0.1  # measured: 0.046
+    assert rod.left(wrong, wrong) == 1.0
+    assert rod.left(right, right) == (1.0 if rod.excess(right) > 0 else 0.0)
+
+
 @pytest.mark.parametrize(("loc", "verdict"), [(0.22, "mismatch"), (0.37, "inconclusive")])
 def test_an_effect_beside_which_psi_strains_at_its_prior_is_no_sure_name(tmp_path, loc, verdict):
     """What tells the recordings is friction, far out in its prior in one of two; the effect is a passenger."""
@@ -299,6 +321,18 @@ def test_what_recordings_share_of_a_psi_moves_its_mean_and_not_each_of_its_value
     np.testing.assert_allclose(np.nan_to_num(mu), np.nan_to_num(own * slopes[0, :, None, None, None]), atol=1e-12)
     assert z_of(problem, TRUTH)[0] == pytest.approx(found.z[0], abs=0.15)  # measured: 0.006 of a prior sd
     assert np.abs(found.z[1:]).max() < 0.5  # of the spread; measured: 0.26
+
+
+@pytest.mark.parametrize("sds", [2.0, -1.0])
+def test_own_values_of_held_out_recordings_are_looked_for_before_any_step(tmp_path, sliding, sds):
+    psi = PSI.replace("[noise]", 'varies = "trajectory"\n[noise]')
+    study = make_study(tmp_path / "study", XML.format(0.02), psi, slides())
+    problem = make_problem(Simulator(study, num_threads=1))
+    spread = problem.unknowns.varying[0].spread
+    followed = Followed(problem).hearing(sliding)
+    z = np.concatenate([z_of(problem, TRUTH - sds * spread), np.zeros(4)])
+    fit = at(followed, np.concatenate([z_of(problem, TRUTH), np.zeros(4)]))
+    np.testing.assert_array_equal(with_own(followed, z, fit.scales)[1:], sds)
 
 
 def test_sensitivities_that_are_known_nearby_are_not_found_anew():

@@ -179,6 +179,9 @@ def test_a_gain_that_few_blocks_have_must_be_far_beyond_chance(followed, problem
     gains[-1] = 1.0
     more = gaining(base, more, gains)
     assert not search.earns(base, more, 11.0, lambda _: 0.0)  # nothing of it is held out
+    gains[:2], gains[-1] = 1.0, 100.0
+    more = gaining(base, more, gains)
+    assert not search.earns(base, more, 11.0, lambda _: 0.0)  # all of it is: the base's own values end elsewhere there
 
 
 def test_who_gains_little_beside_the_best_goes_no_further(fit):

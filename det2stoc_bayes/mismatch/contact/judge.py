@@ -6,16 +6,14 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.conflict import strained
-from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
+from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
-from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import Scales, certainty
 from det2stoc_bayes.mismatch.contact.search import Round, alike, chances
+from det2stoc_bayes.mismatch.contact.yardstick import yardstick
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 
-NUM_REPLICAS = 2
-FARTHEST = 4.0  # scales beyond which an error counts no more: one block that went the other way says little
 MOST_LEFT = 0.5  # of the excess error that a named effect may leave unexplained
 
 
@@ -51,43 +49,24 @@ class Verdict:
         return self.after if self.verdict == "mismatch" else self.before
 
 
-def replicas_of(fit: ContactFit, seed: int, count: int = NUM_REPLICAS) -> list[ContactFit]:
-    """Fits to what the hypothesis itself would make: the scatter and the bias of its unknowns, and its errors."""
-    out = []
-    for k in range(count):
-        out.append(fit_followed(replicated(fit, np.random.default_rng([seed, k])), fit.z, iterations=3))
-    return out
-
-
-def squares(errors: np.ndarray, reference: Scales) -> Float[np.ndarray, " blocks"]:
-    """Mean squared error of each block in scales that a right model leaves, large ones cut off."""
-    u = np.minimum((errors / reference.values) ** 2, FARTHEST**2)
-    there = np.isfinite(errors)
-    return np.where(there, u, 0.0).sum((1, 2)) / np.maximum(there.sum((1, 2)), 1)
-
-
 def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair) -> Verdict:
     """Names the additions that recordings which were not fitted ask for, and that nothing else could stand for."""
     counter = final.fit.problem.simulator.counter
     begun = counter.simulations
-    replicas = replicas_of(final.fit, seed)
+    rod = yardstick(final.fit, seed)
     evaluations = (counter.simulations - begun) // max(final.fit.problem.segments.count, 1)
-    pooled = np.sqrt(np.mean([r.scales.values**2 for r in replicas], axis=0))
-    reference = Scales(np.maximum(pooled, 1e-300))
-    level = float(np.mean([squares(r.errors, reference).mean() for r in replicas]))
     taken = [r for r in rounds if r.taken is not None]
     # A short memory forgives what is missing: all are led as the last one is.
     chain = [before, *(r.taken for r in taken[:-1] if r.taken is not None), *([final] if taken else [])]
-    start, *rest = (_level(with_memory(p, final.fit.followed.memory), reference) for p in chain)
-    excess = start - level
-    steps = np.diff([start, *rest])
-    explains = tuple(float(np.clip(-s / max(excess, 1e-9), -1.0, 1.0)) for s in steps)
-    left = float(np.clip((_level(final, reference) - level) / max(excess, 1e-9), 0.0, 1.0)) if excess > 0 else 0.0
+    start, *rest = (rod.of(with_memory(p, final.fit.followed.memory)) for p in chain)
+    excess = start - rod.level
+    explains = tuple(float(np.clip(-s / max(excess, 1e-9), -1.0, 1.0)) for s in np.diff([start, *rest]))
+    left = rod.left(before, final)
     random = np.random.default_rng(seed)
     places = tuple(classes(r, random) for r in taken)
-    every = {"before": before, "rounds": tuple(rounds), "fine": fine, "replicas": tuple(replicas)}
+    every = {"before": before, "rounds": tuple(rounds), "fine": fine, "replicas": rod.replicas}
     every |= {"evaluations": evaluations}
-    common = {**every, "reference": reference, "excess": excess / level, "unexplained": left}
+    common = {**every, "reference": rod.reference, "excess": excess / rod.level, "unexplained": left}
     small = not taken or sum(explains) < NEGLIGIBLE or excess <= 0
     if small:
         out = tuple((r.taken, e) for r, e in zip(taken, explains, strict=True) if r.taken is not None)
@@ -97,12 +76,6 @@ def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair
     sure = all(p[0].chance >= SURE for p in places) and left < MOST_LEFT and not strain
     verdict = "mismatch" if sure else "inconclusive"
     return Verdict(verdict, after=final, places=places, explains=explains, **common)
-
-
-def _level(pair: Pair, reference: Scales) -> float:
-    """Mean squared error of held-out blocks, of all where too few are held out."""
-    held = squares(pair.held.errors, reference)
-    return float(held.mean() if len(held) >= 8 else np.concatenate([held, squares(pair.fit.errors, reference)]).mean())
 
 
 def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:

@@ -7,21 +7,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
-from det2stoc_bayes.mismatch.contact.flow import Ground
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.regions import bordered
-from det2stoc_bayes.mismatch.contact.scales import certainty
+from det2stoc_bayes.mismatch.contact.scales import Scales
 from det2stoc_bayes.mismatch.contact.screen import Promise
-from det2stoc_bayes.mismatch.contact.telling import telling
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import log_det
 
 MEMORIES = (3.0, 6.0, 12.0, 25.0, 50.0, 200.0)  # samples
-REGARDS = ((False, 1.0), (True, 1.0), (True, 0.1))  # whether contact holds bodies, and the share of its jolts
 MOST_WORSE = 2  # memories
 SKETCH = 3  # iterations of what was screened
+OWN = (-2.0, -1.0, 0.0, 1.0, 2.0)  # sds of a population at which a recording's own value is looked for
 FAR = 1.5  # prior sds of some psi beyond which what is missing has led it there, and a small step of it does nothing
-FINER_CERTAIN = 2.0  # standard errors by which a finer integration must tell recordings better
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,34 +66,20 @@ def paired(fit: ContactFit, held: Followed) -> Pair:
     if not own:
         return Pair(fit, at(there, z, fit.scales))
     shared = [i for i in range(problem.size) if i not in own]
-    found = fit_followed(there, z, held=shared, iterations=SKETCH)
+    found = fit_followed(there, with_own(there, z, fit.scales), held=shared, iterations=SKETCH)
     return Pair(fit, replace(found, scales=fit.scales))
 
 
-def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
-    """The believed model fitted, under an integration that converges where that tells recordings better.
-
-    Its memory is the one by which it foretells recordings best, of the columns that it tells at all.
-    """
-    fit = climbed(fit_followed(replace(followed, memory=MEMORIES[0]), iterations=SKETCH))
-    fit = grounded(fit)
-    fit = climbed(fit_followed(fit.followed.hearing(telling(fit)), fit.z))
-    step = float(fit.problem.simulator.model.opt.timestep)
-    other = fit_followed(fit.followed.integrated(step, "RK4"), fit.z, iterations=SKETCH)
-    finer = certainty(fit.losses - other.losses, followed.recording) >= FINER_CERTAIN
-    return paired(climbed(fit_followed(other.followed, other.z)) if finer else fit, held), finer
-
-
-def grounded(fit: ContactFit) -> ContactFit:
-    """The same hypothesis, led with such regard to contact as tells recordings best.
-
-    What slides is held by its floor and jolted little, though noise that is drawn anew throws simulations of it out of
-    the floor; where something is missing, what holds a simulation may not hold the body.
-    """
-    ground = Ground(fit.problem, fit.z)
-    led = [fit.followed.grounded(ground.regarding(*way)) for way in REGARDS]
-    fits = [climbed(fit_followed(followed, fit.z, like=fit)) for followed in led]
-    return min((fit, *fits), key=lambda f: f.loss)
+def with_own(followed: Followed, z: Float[np.ndarray, " size"], scales: Scales) -> Float[np.ndarray, " size"]:
+    """These unknowns, each recording's own value where a coarse look tells that recording best."""
+    for own in followed.problem.unknowns.own:
+        tried = np.tile(z, (len(OWN), 1))
+        tried[:, own] = np.array(OWN)[:, None]
+        told = np.stack([scales.losses(e) for e in followed.errors(tried)])
+        by_recording = told.reshape(len(OWN), len(own), -1).sum(-1) + 0.5 * np.square(OWN)[:, None]
+        z = z.copy()
+        z[own] = np.array(OWN)[by_recording.argmin(0)]
+    return z
 
 
 def climbed(fit: ContactFit) -> ContactFit:

@@ -5,15 +5,18 @@ import numpy as np
 from det2stoc_bayes.engines.contacts import share_in_contact
 from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact.believed import believed
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.judge import Verdict, judged
-from det2stoc_bayes.mismatch.contact.pair import Pair, believed, paired
+from det2stoc_bayes.mismatch.contact.pair import Pair, paired
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
 from det2stoc_bayes.mismatch.contact.top import topped
+from det2stoc_bayes.mismatch.contact.yardstick import yardstick
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
+from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import cut
 
@@ -37,7 +40,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     alone = len(problem.simulator.study.recordings) == 1 and not problem.simulator.study.holdout
     pool = [] if alone else candidates(before.fit.problem, elements_of(before.fit))
     base, rounds = before, []
-    while len(rounds) < MAX_EFFECTS:
+    while len(rounds) < MAX_EFFECTS and not (rounds and _settled(before, base, seed, progress)):
         one = look(base, pool, progress, seed) if pool else Round(base, (), (), None)
         before = one.base if not rounds else before
         rounds.append(one)
@@ -51,6 +54,14 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     composer = ContactComposer(said, when, seed)
     progress("scoring held-out recordings", 1, 1)
     return composer, _patch(said, composer)
+
+
+def _settled(before: Pair, after: Pair, seed: int, progress: Progress) -> bool:
+    """Whether so little of the error is left that whatever else explains it were negligible."""
+    progress("measuring what is left", 0, 1)
+    left = yardstick(after.fit, seed).left(before, after)
+    progress("measuring what is left", 1, 1)
+    return left < NEGLIGIBLE
 
 
 def fit_believed(problem: Problem, *, hold_out: bool = True) -> tuple[Pair, bool]:

@@ -216,8 +216,8 @@ def earns(base: Pair, more: Pair, needed: float, chance: Callable[[float], float
     sure = certainty(gains[fitted], more.owners[fitted])
     if more.held.followed.count < LEAST_BLOCKS:
         return sure > 2 * LEAST_CERTAIN
-    if gains[~fitted].sum() < HELD_GAIN:
-        return False
+    if gains[~fitted].sum() < HELD_GAIN or gains[fitted].sum() < needed * fitted.mean():
+        return False  # what is gained on the one alone is no merit of the addition
     most = float(gains[fitted].sum()) / TIMES
     return sure >= LEAST_CERTAIN or chance(most) < most
 

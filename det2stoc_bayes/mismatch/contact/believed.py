@@ -1,0 +1,71 @@
+"""The believed model's fit: psi wherever the prior has it, and how its simulations are led and integrated.
+
+A short memory forgives a wrong psi, and where simulations rattle even favours one that rattles less: such a fit drew
+its own contact with it. So psi is looked for at a middle memory, by no derivative, before anything is chosen there.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.mismatch.contact.evolution import evolved
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed, within
+from det2stoc_bayes.mismatch.contact.flow import Ground
+from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.mismatch.contact.pair import MEMORIES, SKETCH, Pair, climbed, paired
+from det2stoc_bayes.mismatch.contact.scales import certainty
+from det2stoc_bayes.mismatch.contact.telling import telling
+
+MIDDLE = 12.0  # samples: long enough for a wrong psi to show, short enough for a missing effect not to hide a right one
+POPULATION, GENERATIONS = 12, 8  # of the search
+REGARDS = ((False, 1.0), (True, 1.0), (True, 0.1))  # whether contact holds bodies, and the share of its jolts
+FINER_CERTAIN = 2.0  # standard errors by which a finer integration must tell recordings better
+
+
+def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
+    """The believed model fitted, under an integration that converges where that tells recordings better.
+
+    Its memory and what it regards of contact are those by which it foretells recordings best, of the columns that it
+    tells at all.
+    """
+    middle = followed.remembering(MIDDLE)
+    z, step = searched(middle), float(followed.problem.simulator.model.opt.timestep)
+    ways = (middle, middle.integrated(step, "RK4"))
+    plain, fine = (best_remembered(fit_followed(way, z, iterations=SKETCH)) for way in ways)
+    finer = certainty(plain.losses - fine.losses, followed.recording) >= FINER_CERTAIN
+    fits = grounded(climbed(fine if finer else plain))
+    heard = telling(min(fits, key=lambda f: f.loss))
+    fit = min((at(f.followed.hearing(heard), f.z) for f in fits), key=lambda f: f.loss)
+    return paired(climbed(fit_followed(fit.followed, fit.z)), held), finer
+
+
+def searched(followed: Followed) -> Float[np.ndarray, " size"]:
+    """The likeliest psi that evolution finds in the prior; what recordings have of their own is their population's."""
+    start = at(followed, np.zeros(followed.problem.size))
+    shared = np.setdiff1d(np.arange(len(start.z)), followed.problem.unknowns.owned)
+    if not len(shared):
+        return start.z
+
+    def unknowns(x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " unknowns"]:
+        z = start.z.copy()
+        z[shared] = x[: len(shared)]
+        return within(start, z)
+
+    size = max(len(shared), 2)  # of one dimension CMA-ES knows nothing: another stands idle
+    return evolved(start, unknowns, size=size, sigma=1.0, population=POPULATION, generations=GENERATIONS)
+
+
+def best_remembered(fit: ContactFit) -> ContactFit:
+    """The same unknowns with the memory by which they foretell recordings best, and a few steps from there."""
+    best = min((at(fit.followed.remembering(m), fit.z) for m in MEMORIES), key=lambda f: f.loss)
+    return fit_followed(best.followed, fit.z, iterations=SKETCH, like=fit)
+
+
+def grounded(fit: ContactFit) -> list[ContactFit]:
+    """The same hypothesis, led without regard to contact and with each regard.
+
+    What slides is held by its floor and jolted little, though noise that is drawn anew throws simulations of it out of
+    the floor; where something is missing, what holds a simulation may not hold the body.
+    """
+    ground = Ground(fit.problem, fit.z)
+    led = [fit.followed.grounded(ground.regarding(*way)) for way in REGARDS]
+    return [fit, *(climbed(fit_followed(followed, fit.z, like=fit)) for followed in led)]

@@ -1,0 +1,57 @@
+"""What errors a right model would leave: those of fits to recordings that a hypothesis itself has made."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
+from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
+from det2stoc_bayes.mismatch.contact.replicas import replicated
+from det2stoc_bayes.mismatch.contact.scales import Scales
+
+NUM_REPLICAS = 2
+FARTHEST = 4.0  # scales beyond which an error counts no more: one block that went the other way says little
+LEAST_BLOCKS = 8  # that are held out, or fitted ones count as well
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """Fits to a hypothesis' own recordings, the scales of their errors, and their mean square in these."""
+
+    replicas: tuple[ContactFit, ...]
+    reference: Scales
+    level: float
+
+    def of(self, pair: Pair) -> float:
+        """Mean squared error of held-out blocks, of all where too few are held out."""
+        held = squares(pair.held.errors, self.reference)
+        if len(held) < LEAST_BLOCKS:
+            held = np.concatenate([held, squares(pair.fit.errors, self.reference)])
+        return float(held.mean())
+
+    def excess(self, pair: Pair) -> float:
+        """That beyond what the hypothesis itself would leave."""
+        return self.of(pair) - self.level
+
+    def left(self, before: Pair, after: Pair) -> float:
+        """Share of the excess error that additions leave, both led as the latter is; 0 where there is none."""
+        excess = self.excess(with_memory(before, after.fit.followed.memory))
+        return float(np.clip(self.excess(after) / max(excess, 1e-9), 0.0, 1.0)) if excess > 0 else 0.0
+
+
+def yardstick(fit: ContactFit, seed: int, count: int = NUM_REPLICAS) -> Yardstick:
+    """That of a hypothesis at its most likely unknowns."""
+    made = (replicated(fit, np.random.default_rng([seed, k])) for k in range(count))
+    replicas = tuple(fit_followed(followed, fit.z, iterations=3) for followed in made)
+    pooled = np.sqrt(np.mean([r.scales.values**2 for r in replicas], axis=0))
+    reference = Scales(np.maximum(pooled, 1e-300))
+    level = float(np.mean([squares(r.errors, reference).mean() for r in replicas]))
+    return Yardstick(replicas, reference, level)
+
+
+def squares(errors: Float[np.ndarray, "blocks samples columns"], reference: Scales) -> Float[np.ndarray, " blocks"]:
+    """Mean squared error of each block in scales that a right model leaves, large ones cut off."""
+    u = np.minimum((errors / reference.values) ** 2, FARTHEST**2)
+    there = np.isfinite(errors)
+    return np.where(there, u, 0.0).sum((1, 2)) / np.maximum(there.sum((1, 2)), 1)
