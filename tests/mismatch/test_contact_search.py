@@ -75,25 +75,37 @@ def test_a_base_that_is_told_better_where_an_addition_led_psi_goes_there(followe
     drag = named(pool, "linear_drag")
     stuck = pair_of(followed, [z_of(problem, 0.5 * TRUTH)])
     more = pair_of(followed, [z_of(problem, TRUTH), 0.0], drag)
-    base = search.better_base(stuck, [more])
-    assert base.height < stuck.height - 50 and base.fit.problem.effects == ()
-    assert search.better_base(base, [more]).height <= base.height
-    assert search.better_base(stuck, []) is stuck
+    for longer in (False, True):
+        base = search.better_base(stuck, [more], 2.0, longer=longer)
+        assert base.height < stuck.height - 50 and base.fit.problem.effects == ()
+        assert longer or base.fit.followed.memory == more.fit.followed.memory
+        assert search.better_base(base, [more], 2.0, longer=longer).height <= base.height
+        assert search.better_base(stuck, [], 2.0, longer=longer) is stuck
 
 
-def test_where_all_lose_evidence_none_is_looked_at_further(followed, problem, pool, monkeypatch):
-    """What gains at all goes on, for a longer memory may tell it better."""
+def test_a_base_beyond_its_bumps_has_them_no_more(followed, problem):
+    stuck = pair_of(followed, [z_of(problem, 0.98 * TRUTH)])
+    assert search.beyond_bumps(stuck, search.BUMPY - 0.1) is stuck
+    assert search.beyond_bumps(stuck, search.BUMPY).fit.loss < stuck.fit.loss
+
+
+@pytest.mark.parametrize("led", [True, False])
+def test_where_all_lose_evidence_none_is_looked_at_further(followed, problem, pool, monkeypatch, led):
+    """What gains at all goes on, for a longer memory may tell it better; a base that is led on leaves it nothing."""
     drag, went_on = named(pool, "linear_drag"), []
     right, wrong = (pair_of(followed, [z_of(problem, f * TRUTH)]) for f in (1.0, 0.5))
     more = pair_of(followed, [z_of(problem, TRUTH), 0.0], drag)
+    monkeypatch.setattr(search, "bumps", lambda *_: 0.0)
     monkeypatch.setattr(search, "_screened", lambda *_: [])
     monkeypatch.setattr(search, "near_remembered", lambda base, found, _: went_on.append(base) or found)
-    monkeypatch.setattr(search, "smoothed", lambda base, found, *_: (base, found, search.LUCK))
+    monkeypatch.setattr(search, "smoothed", lambda base, found, *_: (found, search.LUCK))
+    if not led:
+        monkeypatch.setattr(search, "better_base", lambda base, *_, longer: base)
     for base, found in ((right, []), (right, [more]), (wrong, [more])):
         monkeypatch.setattr(search, "refined", lambda *_, found=found: found)
         one = search.look(base, pool, quiet)
         assert one.refined == tuple(found) and one.taken is None
-    assert more.gain(right) < 0 < more.gain(wrong) and went_on == [wrong]
+    assert more.gain(right) < 0 < more.gain(wrong) and went_on == ([] if led else [wrong])
 
 
 def test_a_missing_drag_is_screened_and_fitted(problem, followed, pool):
@@ -201,11 +213,12 @@ def test_who_gains_little_beside_the_best_goes_no_further(fit):
 def test_chance_gains_little_where_nothing_is_missing(followed, problem, pool):
     base = pair_of(followed, [z_of(problem, TRUTH)])
     few = [c for c in pool if c.effect.name in ("linear_drag", "gravity_error", "friction_error")]
-    gain = search.gain_by_chance(base, few, 0, quiet)
-    assert 0 <= gain < 20  # a few nats a parameter
+    gain = search.gain_by_chance(base, few, 0, quiet, 2.0)
+    assert 2 <= gain < 20  # a few nats a parameter
+    assert search.gain_by_chance(base, few, 0, quiet, 187.0, 60.0) == 187.0  # the bumps of the recordings themselves
     for most, sets in ((np.inf, [*range(search.NUM_CHANCES + 1)]), (0.0, [search.NUM_CHANCES])):
         made = []
-        search.gain_by_chance(base, few, 0, lambda _, k, of, made=made: made.append(k), most)
+        search.gain_by_chance(base, few, 0, lambda _, k, of, made=made: made.append(k), 0.0, most)
         assert made == sets  # none is made where there is enough; the last is the end
 
 

@@ -68,4 +68,4 @@ def grounded(fit: ContactFit) -> list[ContactFit]:
     """
     ground = Ground(fit.problem, fit.z)
     led = [fit.followed.grounded(ground.regarding(*way)) for way in REGARDS]
-    return [fit, *(climbed(fit_followed(followed, fit.z, like=fit)) for followed in led)]
+    return [fit, *(fit_followed(followed, fit.z, iterations=SKETCH, like=fit) for followed in led)]

@@ -62,37 +62,48 @@ class Round:
 def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int = 0) -> Round:
     """Screen all, fit the few best, and take the best if recordings that were not fitted ask for it.
 
-    A leader's rivals are looked for once more where it ended, for psi is another there. Where all lose evidence there,
-    none is looked at further.
+    The base goes beyond its bumps first, and to where its best addition leads it: neither is an addition's merit. A
+    leader's rivals are looked for once more where it ended, for psi is another there.
     """
     others = [p for p in pool if p not in base.fit.problem.effects]
+    luck = max(LUCK, bumps(base.fit, np.random.default_rng([seed, 4])))
+    base = beyond_bumps(base, luck)
     ground = nearer(base.fit)
     screened = _screened(ground, others, progress)
     least = LEAST_PROMISE * threshold(len(others))
     found = refined(base, ground, [s for s in screened if s.gain > least], progress)
-    if found and found[0].gain(base) > LOOK_AGAIN:
+    base = better_base(base, found, luck, longer=False)
+    if found and found[0].gain(base) > max(LOOK_AGAIN, luck):
         there = nearer(without_last(found[0], ground.followed.memory))
         again = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
         again = refined(base, there, [s for s in again if s.gain > least], progress)
         found = best_of_each([*found, *again])
     if not found or found[0].gain(base) <= 0:
-        return Round(base, tuple(screened), tuple(found), None)
+        return Round(base, tuple(screened), tuple(found), None, luck)
     found = near_remembered(base, found, progress)
-    base, found, luck = smoothed(better_base(base, found), found, progress, seed)
+    base = better_base(base, found, luck, longer=True)
+    found, luck = smoothed(base, found, progress, seed)
     rivals = [p.placed for p in found]
-    chance = partial(gain_by_chance, base, rivals, seed, progress)  # which takes long, and is seldom asked for
+    chance = partial(gain_by_chance, base, rivals, seed, progress, luck)  # which takes long, and is seldom asked for
     needed = max(threshold(len(others)), luck)
     taken = found[0] if found and earns(base, found[0], needed, chance) else None
     return Round(base, tuple(screened), tuple(found), taken, luck)
 
 
-def better_base(base: Pair, found: Sequence[Pair]) -> Pair:
-    """The base from where its best addition led psi, if it is told better there: that is no merit of the addition."""
+def beyond_bumps(pair: Pair, luck: float) -> Pair:
+    """The same hypothesis beyond its nearest bumps, where these are high."""
+    fit = polished(pair.fit) if luck >= BUMPY else pair.fit
+    return pair if fit is pair.fit else paired(fit, pair.held.followed)
+
+
+def better_base(base: Pair, found: Sequence[Pair], luck: float, *, longer: bool) -> Pair:
+    """The base from where its best addition led psi, perhaps with a longer memory, if it is told better there."""
     if not found:
         return base
     there = without_last(found[0], found[0].fit.followed.memory)
-    other = remembered(paired(fit_followed(there.followed, there.z), base.held.followed))
-    return min((base, other), key=lambda p: p.height)
+    other = paired(fit_followed(there.followed, there.z), base.held.followed)
+    other = remembered(other) if longer else other
+    return beyond_bumps(other, luck) if other.height < base.height else base
 
 
 def _screened(fit: ContactFit, pool: Sequence[PlacedEffect], progress: Progress) -> list[Promise]:
@@ -166,20 +177,17 @@ def _near(base: Pair, found: Sequence[Pair]) -> list[Pair]:
     return [p for p in found if p.height <= found[0].height + max(NEAR * found[0].gain(base), LEAST_NEAR)]
 
 
-def smoothed(base: Pair, found: Sequence[Pair], progress: Progress, seed: int) -> tuple[Pair, list[Pair], float]:
-    """Base and those near the best beyond their nearest bumps, best first, and how high these are, nats."""
-    if not found:
-        return base, [], LUCK
+def smoothed(base: Pair, found: Sequence[Pair], progress: Progress, seed: int) -> tuple[list[Pair], float]:
+    """Those near the best beyond their nearest bumps, best first, and how high these are about the best, nats."""
     luck = max(LUCK, bumps(found[0].fit, np.random.default_rng([seed, 5])))
     near = _near(base, found)
-    done = [base, *near]
-    for k, pair in enumerate(done if luck >= BUMPY else []):
-        progress("polishing", k, len(done))
-        fit = polished(pair.fit)
-        done[k] = pair if fit is pair.fit else paired(fit, pair.held.followed)
+    done = []
+    for k, pair in enumerate(near):
+        progress("polishing", k, len(near))
+        done.append(beyond_bumps(pair, luck))
     progress("polishing", 1, 1)
-    alone = as_the_best(best_of_each(done[1:]), luck)
-    return done[0], best_of_each([*alone, *(p for p in found if p not in near)]), luck
+    alone = as_the_best(best_of_each(done), luck)
+    return best_of_each([*alone, *(p for p in found if p not in near)]), luck
 
 
 def as_the_best(pairs: Sequence[Pair], luck: float = LUCK) -> list[Pair]:
@@ -223,10 +231,13 @@ def earns(base: Pair, more: Pair, needed: float, chance: Callable[[float], float
 
 
 def gain_by_chance(
-    base: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress, most: float = np.inf
+    base: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress, luck: float, most: float = np.inf
 ) -> float:
-    """The most that these gain on fitted recordings as the base would make them; looked for until it is `most`."""
-    best = 0.0
+    """The most that these gain on fitted recordings as the base would make them; looked for until it is `most`.
+
+    At least `luck`: where something is missing, bumps may be higher than on any recordings that the base makes.
+    """
+    best = luck
     for k in range(NUM_CHANCES):
         if best >= most:
             break
