@@ -50,10 +50,10 @@ class _Change:
     """What an effect changes in a stretch, in noise sds, and what other beginnings take up."""
 
     def __init__(self, stretch: _Stretch, effect: Effect) -> None:
-        self.stretch, self.plain = stretch, stretch.recorded(stretch.probe.psi)
+        self.stretch, plain = stretch, stretch.recorded(stretch.probe.psi)
         self.changed = stretch.recorded(stretch.probe.psi, (effect,))
-        self.whole = self._whitened(self.changed - self.plain)
-        begins = np.stack([self._whitened(columns - self.plain) for columns in stretch.begun_elsewhere()], 1)
+        self.whole = self._whitened(self.changed - plain)
+        begins = np.stack([self._whitened(columns - plain) for columns in stretch.begun_elsewhere()], 1)
         if np.isfinite(begins).all():
             basis, sizes, _ = np.linalg.svd(begins, full_matrices=False)
             self.basis = basis[:, sizes > 1e-6 * sizes[0]]
@@ -112,15 +112,15 @@ def _beside_psi(changes: Sequence[_Change], psi: dict[str, float]) -> float:
 
     size = max(len(psi), 2)  # of one dimension CMA-ES knows nothing: another stands idle
     search = CMA(mean=np.zeros(size), sigma=FAR, seed=SEED, population_size=POPULATION)
-    least, best = near(psi), psi
+    least, raw, best = near(psi), np.inf, psi
     for _ in range(GENERATIONS if least >= LEAST else 0):
         asked = [search.ask() for _ in range(POPULATION)]
         tried = [{n: float(v * np.exp(f)) for (n, v), f in zip(psi.items(), x, strict=False)} for x in asked]
         found = [float(np.nan_to_num(np.mean(left(there) ** 2), nan=WORST**2)) for there in tried]
         search.tell(list(zip(asked, found, strict=True)))
-        if np.sqrt(min(found)) < least:
-            least, best = float(np.sqrt(min(found))), tried[int(np.argmin(found))]
-    return least if best is psi else float(np.fmin(least, near(best)))
+        if min(found) < raw:
+            raw, best = min(found), tried[int(np.argmin(found))]
+    return float(np.fmin(min(least, np.sqrt(raw)), near(best))) if best is not psi else least
 
 
 def _stretches(probe: Probe, effect: Effect) -> Iterator[_Stretch]:

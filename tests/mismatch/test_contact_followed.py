@@ -9,6 +9,7 @@ from conftest import make_study
 from sliding import PSI, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact import run
 from det2stoc_bayes.mismatch.contact.believed import believed, searched
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.fit import STEPS, _columns, _taught, at, fit_followed, steady
@@ -222,9 +223,27 @@ def test_what_is_left_is_measured_by_what_the_model_itself_would_leave(problem, 
 
     wrong, right = pair(0.5 * TRUTH), pair(TRUTH)
     rod = yardstick(right.fit, 0)
-    assert rod.left(wrong, right) < 0.1  # measured: 0.046
-    assert rod.left(wrong, wrong) == 1.0
-    assert rod.left(right, right) == (1.0 if rod.excess(right) > 0 else 0.0)
+    before, after = rod.of(wrong), rod.of(right)
+    assert before > 5 * rod.level  # measured: 6.2 times
+    assert abs(after - rod.level) < 3.5 * rod.uncertain(right)
+    assert rod.left(before, after) < 0.1  # measured: 0.046
+    assert rod.left(before, before) == 1.0 and rod.left(0.9 * rod.level, after) == 0.0
+    assert rod.left(before, rod.level + 0.3 * (before - rod.level)) == pytest.approx(0.3)
+
+
+def test_nothing_further_is_looked_for_where_surely_little_is_left(problem, sliding, monkeypatch):
+    """Little is left in both; of the second it is not sure."""
+    followed, recordings = Followed(problem).hearing(sliding), problem.simulator.study.recordings
+    fit, held = (followed.on(part) for part in (recordings[:3], recordings[3:]))
+    wrong, right = (at(fit, z_of(problem, f * TRUTH)) for f in (0.5, 1.0))
+    before, after = (Pair(x, at(held, x.z, x.scales)) for x in (wrong, right))
+    rod = yardstick(right, 0)
+    monkeypatch.setattr(run, "yardstick", lambda *_: replace(rod, level=rod.of(after)))
+    ends = []
+    for sds in (0.0, 100.0):
+        monkeypatch.setattr(run, "SURELY", sds)
+        ends.append(run._settled(before, after, 0, lambda *_: None))
+    assert ends == [True, False]
 
 
 @pytest.mark.parametrize(("loc", "verdict"), [(0.22, "mismatch"), (0.37, "inconclusive")])
@@ -333,6 +352,9 @@ def test_own_values_of_held_out_recordings_are_looked_for_before_any_step(tmp_pa
     z = np.concatenate([z_of(problem, TRUTH - sds * spread), np.zeros(4)])
     fit = at(followed, np.concatenate([z_of(problem, TRUTH), np.zeros(4)]))
     np.testing.assert_array_equal(with_own(followed, z, fit.scales)[1:], sds)
+    fitted = np.append(z[:1], sds + np.array([0.1, -0.1, 0.1, -0.1]))  # one of them is nearer than any that is tried
+    found = with_own(followed, fitted, fit.scales)
+    assert set(found[1:]) <= {*fitted[1:], sds} and (fit.loss - at(followed, found, fit.scales).loss) > -10
 
 
 def test_sensitivities_that_are_known_nearby_are_not_found_anew():

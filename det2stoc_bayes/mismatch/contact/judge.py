@@ -61,7 +61,7 @@ def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair
     start, *rest = (rod.of(with_memory(p, final.fit.followed.memory)) for p in chain)
     excess = start - rod.level
     explains = tuple(float(np.clip(-s / max(excess, 1e-9), -1.0, 1.0)) for s in np.diff([start, *rest]))
-    left = rod.left(before, final)
+    left = rod.left(start, rod.of(final))
     random = np.random.default_rng(seed)
     places = tuple(classes(r, random) for r in taken)
     every = {"before": before, "rounds": tuple(rounds), "fine": fine, "replicas": rod.replicas}

@@ -71,14 +71,15 @@ def paired(fit: ContactFit, held: Followed) -> Pair:
 
 
 def with_own(followed: Followed, z: Float[np.ndarray, " size"], scales: Scales) -> Float[np.ndarray, " size"]:
-    """These unknowns, each recording's own value where a coarse look tells that recording best."""
+    """These unknowns, each recording's own value where it is or where a coarse look tells that recording better."""
     for own in followed.problem.unknowns.own:
-        tried = np.tile(z, (len(OWN), 1))
-        tried[:, own] = np.array(OWN)[:, None]
+        values = np.stack([z[own], *(np.full(len(own), sds) for sds in OWN)])
+        tried = np.tile(z, (len(values), 1))
+        tried[:, own] = values
         told = np.stack([scales.losses(e) for e in followed.errors(tried)])
-        by_recording = told.reshape(len(OWN), len(own), -1).sum(-1) + 0.5 * np.square(OWN)[:, None]
+        by_recording = told.reshape(len(values), len(own), -1).sum(-1) + 0.5 * values**2
         z = z.copy()
-        z[own] = np.array(OWN)[by_recording.argmin(0)]
+        z[own] = values[by_recording.argmin(0), np.arange(len(own))]
     return z
 
 

@@ -10,7 +10,7 @@ from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.judge import Verdict, judged
-from det2stoc_bayes.mismatch.contact.pair import Pair, paired
+from det2stoc_bayes.mismatch.contact.pair import Pair, paired, with_memory
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
 from det2stoc_bayes.mismatch.contact.top import topped
@@ -22,6 +22,7 @@ from det2stoc_bayes.segments import cut
 
 TOUCHES = 0.02  # share of states in contact from which a study is one with contact
 SHORT = 20  # samples of the predictions in which that is looked at
+SURELY = 2.0  # standard errors
 EVERY = 4  # without held-out recordings, of how many one is not fitted
 
 
@@ -57,9 +58,11 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
 
 
 def _settled(before: Pair, after: Pair, seed: int, progress: Progress) -> bool:
-    """Whether so little of the error is left that whatever else explains it were negligible."""
+    """Whether surely so little of the error is left that whatever else explains it were negligible."""
     progress("measuring what is left", 0, 1)
-    left = yardstick(after.fit, seed).left(before, after)
+    rod = yardstick(after.fit, seed)
+    most = rod.of(after) + SURELY * rod.uncertain(after)
+    left = rod.left(rod.of(with_memory(before, after.fit.followed.memory)), most)
     progress("measuring what is left", 1, 1)
     return left < NEGLIGIBLE
 

@@ -66,27 +66,30 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     leader's rivals are looked for once more where it ended, for psi is another there.
     """
     others = [p for p in pool if p not in base.fit.problem.effects]
-    luck = max(LUCK, bumps(base.fit, np.random.default_rng([seed, 4])))
-    base = beyond_bumps(base, luck)
-    ground = nearer(base.fit)
+    progress("measuring bumps", 0, 1)
+    first_luck = max(LUCK, bumps(base.fit, np.random.default_rng([seed, 4])))
+    first = beyond_bumps(base, first_luck)
+    progress("measuring bumps", 1, 1)
+    ground = nearer(first.fit)
     screened = _screened(ground, others, progress)
     least = LEAST_PROMISE * threshold(len(others))
-    found = refined(base, ground, [s for s in screened if s.gain > least], progress)
-    base = better_base(base, found, luck, longer=False)
-    if found and found[0].gain(base) > max(LOOK_AGAIN, luck):
+    found = refined(first, ground, [s for s in screened if s.gain > least], progress)
+    if found and found[0].gain(first) > max(LOOK_AGAIN, first_luck):
         there = nearer(without_last(found[0], ground.followed.memory))
         again = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
-        again = refined(base, there, [s for s in again if s.gain > least], progress)
+        again = refined(first, there, [s for s in again if s.gain > least], progress)
         found = best_of_each([*found, *again])
-    if not found or found[0].gain(base) <= 0:
-        return Round(base, tuple(screened), tuple(found), None, luck)
+    base = better_base(first, found, first_luck, longer=False)
+    if not found or found[0].gain(base) <= -first_luck:  # for additions are not beyond their bumps yet
+        return Round(base, tuple(screened), tuple(found), None, first_luck)
     found = near_remembered(base, found, progress)
-    base = better_base(base, found, luck, longer=True)
-    found, luck = smoothed(base, found, progress, seed)
+    base = better_base(base, found, first_luck, longer=True)
+    found, luck = smoothed(base, found, first_luck, progress, seed)
+    base = base if first_luck >= BUMPY else beyond_bumps(base, luck)
     rivals = [p.placed for p in found]
     chance = partial(gain_by_chance, base, rivals, seed, progress, luck)  # which takes long, and is seldom asked for
     needed = max(threshold(len(others)), luck)
-    taken = found[0] if found and earns(base, found[0], needed, chance) else None
+    taken = found[0] if earns(base, found[0], needed, chance) else None
     return Round(base, tuple(screened), tuple(found), taken, luck)
 
 
@@ -102,8 +105,8 @@ def better_base(base: Pair, found: Sequence[Pair], luck: float, *, longer: bool)
         return base
     there = without_last(found[0], found[0].fit.followed.memory)
     other = paired(fit_followed(there.followed, there.z), base.held.followed)
-    other = remembered(other) if longer else other
-    return beyond_bumps(other, luck) if other.height < base.height else base
+    other = beyond_bumps(remembered(other) if longer else other, luck)
+    return min((base, other), key=lambda p: p.height)
 
 
 def _screened(fit: ContactFit, pool: Sequence[PlacedEffect], progress: Progress) -> list[Promise]:
@@ -177,9 +180,9 @@ def _near(base: Pair, found: Sequence[Pair]) -> list[Pair]:
     return [p for p in found if p.height <= found[0].height + max(NEAR * found[0].gain(base), LEAST_NEAR)]
 
 
-def smoothed(base: Pair, found: Sequence[Pair], progress: Progress, seed: int) -> tuple[list[Pair], float]:
-    """Those near the best beyond their nearest bumps, best first, and how high these are about the best, nats."""
-    luck = max(LUCK, bumps(found[0].fit, np.random.default_rng([seed, 5])))
+def smoothed(base: Pair, found: Sequence[Pair], luck: float, progress: Progress, seed: int) -> tuple[list[Pair], float]:
+    """Those near the best beyond their nearest bumps, best first, and how high these are about it or the base, nats."""
+    luck = max(luck, bumps(found[0].fit, np.random.default_rng([seed, 5])))
     near = _near(base, found)
     done = []
     for k, pair in enumerate(near):

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
-from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
+from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import Scales
 
@@ -25,24 +25,28 @@ class Yardstick:
 
     def of(self, pair: Pair) -> float:
         """Mean squared error of held-out blocks, of all where too few are held out."""
+        return float(self._blocks(pair).mean())
+
+    def left(self, before: float, after: float) -> float:
+        """Share of an excess error that is left where that mean falls from one to the other; 0 where none exceeds."""
+        excess = before - self.level
+        return float(np.clip((after - self.level) / max(excess, 1e-9), 0.0, 1.0)) if excess > 0 else 0.0
+
+    def uncertain(self, pair: Pair) -> float:
+        """1 standard error of the mean, over blocks."""
+        blocks = self._blocks(pair)
+        return float(blocks.std() / np.sqrt(len(blocks)))
+
+    def _blocks(self, pair: Pair) -> Float[np.ndarray, " blocks"]:
         held = squares(pair.held.errors, self.reference)
-        if len(held) < LEAST_BLOCKS:
-            held = np.concatenate([held, squares(pair.fit.errors, self.reference)])
-        return float(held.mean())
-
-    def excess(self, pair: Pair) -> float:
-        """That beyond what the hypothesis itself would leave."""
-        return self.of(pair) - self.level
-
-    def left(self, before: Pair, after: Pair) -> float:
-        """Share of the excess error that additions leave, both led as the latter is; 0 where there is none."""
-        excess = self.excess(with_memory(before, after.fit.followed.memory))
-        return float(np.clip(self.excess(after) / max(excess, 1e-9), 0.0, 1.0)) if excess > 0 else 0.0
+        if len(held) >= LEAST_BLOCKS:
+            return held
+        return np.concatenate([held, squares(pair.fit.errors, self.reference)])
 
 
-def yardstick(fit: ContactFit, seed: int, count: int = NUM_REPLICAS) -> Yardstick:
+def yardstick(fit: ContactFit, seed: int) -> Yardstick:
     """That of a hypothesis at its most likely unknowns."""
-    made = (replicated(fit, np.random.default_rng([seed, k])) for k in range(count))
+    made = (replicated(fit, np.random.default_rng([seed, k])) for k in range(NUM_REPLICAS))
     replicas = tuple(fit_followed(followed, fit.z, iterations=3) for followed in made)
     pooled = np.sqrt(np.mean([r.scales.values**2 for r in replicas], axis=0))
     reference = Scales(np.maximum(pooled, 1e-300))
