@@ -40,8 +40,7 @@ class Ground:
         """The observer of some recordings, as `make_observer` has it, found once for all hypotheses."""
         key = id(segments), memory
         if key not in self.made:
-            # As the model is believed: a finer integration takes four times as long, and jolts alike.
-            problem = replace(self.problem.on(segments), timestep=None, integrator=None)
+            problem = self.problem.on(segments)
             z = self.problem.carry(self.z, problem)
             made = make_observer(problem, memory)
             if key not in self.first:
