@@ -9,7 +9,6 @@ from conftest import make_study
 from sliding import PSI, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
-from det2stoc_bayes.mismatch.contact import believed as believing
 from det2stoc_bayes.mismatch.contact import run
 from det2stoc_bayes.mismatch.contact.believed import believed, searched
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
@@ -207,16 +206,6 @@ def test_the_believed_model_is_fitted_with_its_memory_and_what_it_tells(problem)
     assert pair.fit.followed.memory == pair.held.followed.memory >= 6
     np.testing.assert_array_equal(pair.fit.followed.heard, pair.held.followed.heard)
     assert isinstance(fine, bool) and pair.fit.scales is pair.held.scales
-
-
-@pytest.mark.parametrize(("certain", "regarded"), [(np.inf, False), (-np.inf, True)])
-def test_contact_is_regarded_where_that_surely_tells_better(problem, monkeypatch, certain, regarded):
-    """From the true psi: its search takes long."""
-    monkeypatch.setattr(believing, "searched", lambda followed: z_of(problem, TRUTH))
-    monkeypatch.setattr(believing, "CERTAIN", certain)
-    recordings = problem.simulator.study.recordings
-    pair, fine = believed(Followed(problem).on(recordings[:3]), Followed(problem).on(recordings[3:]))
-    assert (pair.fit.followed.ground is not None) == regarded == fine
 
 
 def test_psi_is_looked_for_all_over_its_prior(problem, sliding):

@@ -18,7 +18,7 @@ from det2stoc_bayes.mismatch.contact.telling import telling
 MIDDLE = 12.0  # samples: long enough for a wrong psi to show, short enough for a missing effect not to hide a right one
 POPULATION, GENERATIONS = 12, 8  # of the search
 REGARDS = ((False, 1.0), (True, 1.0), (True, 0.1))  # whether contact holds bodies, and the share of its jolts
-CERTAIN = 2.0  # standard errors by which a finer integration, or a regard to contact, must tell recordings better
+FINER_CERTAIN = 2.0  # standard errors by which a finer integration must tell recordings better
 
 
 def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
@@ -31,12 +31,10 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
     z, step = searched(middle), float(followed.problem.simulator.model.opt.timestep)
     ways = (middle, middle.integrated(step, "RK4"))
     plain, fine = (best_remembered(fit_followed(way, z, iterations=SKETCH)) for way in ways)
-    finer = certainty(plain.losses - fine.losses, followed.recording) >= CERTAIN
+    finer = certainty(plain.losses - fine.losses, followed.recording) >= FINER_CERTAIN
     fits = grounded(climbed(fine if finer else plain))
     heard = telling(min(fits, key=lambda f: f.loss))
-    bare, *led = (at(f.followed.hearing(heard), f.z) for f in fits)
-    best = min(led, key=lambda f: f.loss)
-    fit = best if certainty(bare.losses - best.losses, followed.recording) >= CERTAIN else bare
+    fit = min((at(f.followed.hearing(heard), f.z) for f in fits), key=lambda f: f.loss)
     return paired(climbed(fit_followed(fit.followed, fit.z)), held), finer
 
 
