@@ -34,8 +34,12 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
     finer = certainty(plain.losses - fine.losses, followed.recording) >= FINER_CERTAIN
     fits = grounded(climbed(fine if finer else plain))
     heard = telling(min(fits, key=lambda f: f.loss))
-    fit = min((at(f.followed.hearing(heard), f.z) for f in fits), key=lambda f: f.loss)
-    return paired(climbed(fit_followed(fit.followed, fit.z)), held), finer
+    # What rattles has led psi astray: each is fitted to what is heard before one is chosen, and hears what it tells.
+    told = [fit_followed(f.followed.hearing(heard), f.z) for f in fits]
+    best, whole = min(zip(told, fits, strict=True), key=lambda pair: pair[0].loss)
+    both = heard & telling(at(whole.followed, best.z))
+    fit = best if (both == heard).all() or not both.any() else fit_followed(best.followed.hearing(both), best.z)
+    return paired(climbed(fit), held), finer
 
 
 def searched(followed: Followed) -> Float[np.ndarray, " size"]:
