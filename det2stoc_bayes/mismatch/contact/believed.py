@@ -51,11 +51,10 @@ def searched(followed: Followed) -> Float[np.ndarray, " size"]:
 
     def unknowns(x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " unknowns"]:
         z = start.z.copy()
-        z[shared] = x[: len(shared)]
+        z[shared] = x
         return within(start, z)
 
-    size = max(len(shared), 2)  # of one dimension CMA-ES knows nothing: another stands idle
-    return evolved(start, unknowns, size=size, sigma=1.0, population=POPULATION, generations=GENERATIONS)
+    return evolved(start, unknowns, size=len(shared), sigma=1.0, population=POPULATION, generations=GENERATIONS)
 
 
 def best_remembered(fit: ContactFit) -> ContactFit:

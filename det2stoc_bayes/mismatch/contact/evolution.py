@@ -21,11 +21,12 @@ def evolved(
     generations: int,
 ) -> Float[np.ndarray, " unknowns"]:
     """The likeliest unknowns by CMA-ES (Hansen, 2016) over coordinates about 0, the fit; its own if none is better."""
-    search = CMA(mean=np.zeros(size), sigma=sigma, seed=SEED, population_size=population)
+    width = max(size, 2)  # of one dimension CMA-ES knows nothing: another stands idle
+    search = CMA(mean=np.zeros(width), sigma=sigma, seed=SEED, population_size=population)
     best, least = fit.z, fit.loss
     for _ in range(generations):
         asked = [search.ask() for _ in range(population)]
-        z = np.stack([unknowns(x) for x in asked])
+        z = np.stack([unknowns(x[:size]) for x in asked])
         losses = losses_at(fit, z)
         search.tell([(x, float(loss)) for x, loss in zip(asked, losses, strict=True)])
         if losses.min() < least:

@@ -18,12 +18,11 @@ def polished(fit: ContactFit) -> ContactFit:
     if not len(free):
         return fit
     root = sds(fit.gram[np.ix_(free, free)])
-    size = max(len(free), 2)  # of one dimension CMA-ES knows nothing: another stands idle
 
     def unknowns(x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " unknowns"]:
         z = fit.z.copy()
-        z[free] += root @ x[: len(free)]
+        z[free] += root @ x
         return within(fit, z)
 
-    best = evolved(fit, unknowns, size=size, sigma=WIDTH, population=POPULATION, generations=GENERATIONS)
+    best = evolved(fit, unknowns, size=len(free), sigma=WIDTH, population=POPULATION, generations=GENERATIONS)
     return fit if best is fit.z else at(fit.followed, best)

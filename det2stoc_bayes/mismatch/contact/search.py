@@ -25,6 +25,7 @@ from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise, screen, some
 from det2stoc_bayes.mismatch.contact.top import bumps
+from det2stoc_bayes.mismatch.contact.yardstick import LEAST_BLOCKS
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.shortlist import shortlist
@@ -44,7 +45,6 @@ LUCK = 2.0  # nats by which fits of the same hypothesis differ where the likelih
 MAX_EFFECTS = 3
 ALIKE = 0.05  # mean squared difference of predictions, in noise sds, of what no sample tells apart
 LOOK_AGAIN = 30.0  # nats of a leader, whose rivals are looked for once more where it ended
-LEAST_BLOCKS = 8  # that are held out, or nothing is decided by them
 Progress = Callable[[str, int, int], None]
 
 

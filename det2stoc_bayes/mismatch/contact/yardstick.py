@@ -12,7 +12,7 @@ from det2stoc_bayes.mismatch.contact.scales import Scales
 
 NUM_REPLICAS = 2
 FARTHEST = 4.0  # scales beyond which an error counts no more: one block that went the other way says little
-LEAST_BLOCKS = 8  # that are held out, or fitted ones count as well
+LEAST_BLOCKS = 8  # that are held out, or nothing is decided by them alone
 
 
 @dataclass(frozen=True, eq=False)
