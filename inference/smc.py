@@ -1,11 +1,13 @@
 """Adaptive tempered sequential Monte Carlo of BlackJAX: no gradients, several modes are no obstacle.
 
 Particles move from an initial density to the target along first^(1 - b) target^b, b as large at each stage as the
-particles' effective number allows; all particles simulate in one batch.
+particles' effective number allows; all particles simulate in one batch. On the way few of them start chains of which
+every state stays a particle (waste-free, Dau and Chopin 2022, algorithm 2); under the target all of them move.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import jax
@@ -34,6 +36,7 @@ LOWEST = -1e10  # log density ratio where a simulation diverged: finite, so that
 LEAST_STEP = 1e-9  # of b: below it tempering does not advance
 DEGREES = 5  # of freedom of the Student-t about the mode
 FEWEST_LAST = 2  # stages under the target, or one an unknown: a random walk forgets the more slowly
+CHAIN = 10  # particles that one chain leaves on the way, if so many divide all of them
 RESCALE = 2.38  # of a random walk's step: Roberts, Gelman and Gilks (1997)
 
 
@@ -57,11 +60,13 @@ def temper(
     num_moves: int = 5,
     num_last: int = FEWEST_LAST,
     max_stages: int = 200,
+    waste_free: bool = False,
     progress: Progress | None = None,
 ) -> Tempered:
     """Particles that were drawn from one density, moved to another; both are functions of batches, up to constants.
 
-    `num_last` stages move them under the target itself. SamplingFailed: `max_stages` do not reach it.
+    `num_last` stages of `num_moves` move all under the target itself; before, so many move each, or `waste_free` each
+    of fewer leaves every state. SamplingFailed: `max_stages` do not reach it.
     """
     import blackjax
     from blackjax.smc.resampling import systematic
@@ -70,14 +75,21 @@ def temper(
     path, key = _Path(log_first, log_target), as_key(key)
     particles, alive = path.alive(np.asarray(particles, dtype=float), numpy_random(key))
     first, ratio = _for_jax(path.first), _for_jax(path.ratio)
-    kernel = blackjax.adaptive_tempered_smc.build_kernel(first, ratio, _walk, blackjax.rmh.init, systematic, target_ess)
-    step = jax.jit(kernel, static_argnums=2)
+    build = partial(
+        blackjax.adaptive_tempered_smc.build_kernel, first, ratio, _walk, blackjax.rmh.init, systematic, target_ess
+    )
+    step = jax.jit(build(), static_argnums=2)
+    on_the_way = jax.jit(build(update_strategy=_keeping(len(particles))), static_argnums=2) if waste_free else step
     state = blackjax.adaptive_tempered_smc.init(jnp.asarray(particles))
     tempering, acceptance, evidence = [0.0], [], float(np.log(alive))
     # A stage moves the particles under the b that was reached before: further ones move them under the target.
     while len(acceptance) < len(tempering) + num_last - 1:
         key, now = jax.random.split(key)
-        state, info = step(now, state, num_moves, {"root": _step_root(state.particles, state.weights)[None]})
+        there = {"root": _step_root(state.particles, state.weights)[None]}
+        if waste_free and tempering[-1] < 1.0:
+            state, info = on_the_way(now, state, None, there)
+        else:
+            state, info = step(now, state, num_moves, there)
         acceptance.append(float(info.update_info.acceptance_rate.mean()))
         if progress is not None:
             progress(len(acceptance), max_stages)
@@ -89,6 +101,13 @@ def temper(
         if len(tempering) > max_stages or not tempering[-1] > reached + LEAST_STEP:
             raise SamplingFailed(f"tempering came to {reached:.3g} of 1 in {len(acceptance)} of {max_stages} stages")
     return Tempered(np.asarray(state.particles), tuple(tempering[1:]), tuple(acceptance), evidence)
+
+
+def _keeping(count: int) -> Callable:
+    """An update after which every state of fewer chains is a particle."""
+    from blackjax.smc.waste_free import waste_free_smc
+
+    return waste_free_smc(count, max(n for n in range(1, CHAIN + 1) if count % n == 0))
 
 
 def _walk(key, state, log_density, root):
@@ -167,6 +186,7 @@ def fit(
     target_ess: float = 0.5,
     num_moves: int = 5,
     max_stages: int = 200,
+    waste_free: bool = True,
     initial: Literal["prior", "mode"] = "prior",
     progress: Progress | None = None,
 ) -> DataTree:
@@ -176,6 +196,7 @@ def fit(
         "target_ess": target_ess,
         "num_moves": num_moves,
         "max_stages": max_stages,
+        "waste_free": waste_free,
         "initial": initial,
     }
     key = as_key(key)
@@ -191,6 +212,7 @@ def fit(
             num_moves=num_moves,
             num_last=max(density.size, FEWEST_LAST),
             max_stages=max_stages,
+            waste_free=waste_free,
             progress=progress,
         )
         # Neighbours may descend from one particle; chains are compared as if they were independent.
