@@ -161,10 +161,11 @@ def finding_tables(finding: "det2stoc_bayes.mismatch.finding.Finding") -> Render
     for c in finding.candidates:
         on = "" if c.element is None else f"{c.element.kind} {c.element.name}"
         candidates.add_row(c.name, escape(on), number(c.probability, 3))
-    psi = table("psi", "name", "before>", "after>")
+    hangs = any(change.over_equivalents for change in finding.psi.values())
+    psi = table("psi", "name", "before>", "after>", *(["95 % over equivalents"] if hangs else []))
     for name, change in finding.psi.items():
-        sides = (f"{_plain(m.mean)} +- {_plain(m.sd)}" for m in (change.before, change.after))
-        psi.add_row(name, *(escape(side) for side in sides))
+        sides = [f"{_plain(m.mean)} +- {_plain(m.sd)}" for m in (change.before, change.after)]
+        psi.add_row(*map(escape, [name, *sides, *([_plain(change.over_equivalents or "", " to ")] if hangs else [])]))
     parts: list[RenderableType] = [Text(f"{finding.verdict}: {finding.summary}", style="bold")]
     parts += [t for t in (found, candidates, psi) if t.row_count]
     if finding.experiment is not None:

@@ -16,7 +16,7 @@ from det2stoc_bayes.mismatch.experiment import propose
 from det2stoc_bayes.mismatch.heldout import horizon_samples
 from det2stoc_bayes.mismatch.judgement import Judgement, Named
 from det2stoc_bayes.mismatch.mirrors import mirrored
-from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond
+from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond, over_equivalents
 from det2stoc_bayes.mismatch.race import Ranked
 from det2stoc_bayes.mismatch.refit import swap
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element, excess_beyond_chance
@@ -56,7 +56,7 @@ class Composer:
             effects = (self._numerical(), *effects)
         candidates, experiment = self._open_question()
         named = effects if judged.verdict == "mismatch" else ()
-        fit, psi = self._scores(), self._psi()
+        fit, psi = self._scores(), over_equivalents(self._psi(), named)
         return finding.Finding.model_validate(
             {
                 "verdict": judged.verdict,

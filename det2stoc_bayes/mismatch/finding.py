@@ -194,6 +194,7 @@ class PsiChange(Entry):
     before: Moments
     after: Moments
     prior_conflict: Numbers = Field(description="tail probability of the posterior under the prior")
+    over_equivalents: tuple[Number, Number] | None = Field(default=None, description="95 % after, whichever it is")
 
 
 class BeliefOf(Entry):
@@ -250,9 +251,7 @@ class Finding(Entry):
     versions: dict[str, str]
     belief: Beliefs | None = None
     predictive_check: PredictiveCheck | None = None
-    stacking: dict[str, Number] | None = Field(
-        default=None, description="weights of before, after and the best alternative by left-out recordings"
-    )
+    stacking: dict[str, Number] | None = Field(default=None, description="weights by left-out recordings")
 
     @model_validator(mode="after")
     def _keeps_to_its_verdict(self) -> Self:

@@ -1,6 +1,6 @@
 """psi under effects that no recording tells from the one that is named: a clock that runs fast looks like less mass."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from det2stoc_bayes.errors import listing
 from det2stoc_bayes.mismatch import finding
 
 BEYOND = 2.0  # sds of the difference, as of independent draws, from which a psi is another
+WITHIN = 1.96  # sds that hold 95 % of a Gaussian
 LISTED = 3  # equivalents in a sentence
 
 
@@ -20,6 +21,20 @@ def others_beyond(
         (a, sd_a), (b, sd_b) = (np.array([m.mean, m.sd], float) for m in (mine, named[name]))
         if abs(a - b) > BEYOND * np.hypot(sd_a, sd_b):
             out[name] = mine
+    return out
+
+
+def over_equivalents(
+    psi: Mapping[str, finding.PsiChange], effects: Sequence[finding.Effect]
+) -> dict[str, finding.PsiChange]:
+    """With the interval that holds those of every equivalent that means another value, too."""
+    out = dict(psi)
+    for name, change in psi.items():
+        others = [o.psi[name] for e in effects for o in e.equivalent if name in o.psi]
+        if others:
+            means, sds = np.array([(m.mean, m.sd) for m in (change.after, *others)], float).T
+            interval = float((means - WITHIN * sds).min()), float((means + WITHIN * sds).max())
+            out[name] = change.model_copy(update={"over_equivalents": interval})
     return out
 
 

@@ -170,7 +170,9 @@ def _posterior(finding: Mapping[str, Any], fit: xr.DataTree, names: dict[str, st
     for one in psi:
         conflict = finding["psi"].get(one.variable, {}).get("prior_conflict")
         conflict = conflict if isinstance(conflict, float | int) else min(filter(None, conflict or []), default=None)
-        rows.append(_marginal(one, names) | {"conflict": numbers.number(conflict, 2), "odd": (conflict or 1) < 0.05})
+        over = finding["psi"].get(one.variable, {}).get("over_equivalents")
+        told = {"conflict": numbers.number(conflict, 2), "odd": (conflict or 1) < 0.05}
+        rows.append(_marginal(one, names) | told | {"over": numbers.interval(over) if over else ""})
     single = [one for one in effects if not KNOT.search(one.variable)]  # a curve has a figure of its own
     return {"psi": rows, "effect_parameters": [_marginal(one, names) for one in single], "varying": spread}
 

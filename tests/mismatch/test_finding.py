@@ -105,6 +105,7 @@ def test_the_documented_example_round_trips() -> None:
     assert [effect.pop("by_recording") for effect in written["effects"]] == [[]] * len(EXAMPLE["effects"])
     assert [effect.pop("mirrored") for effect in written["effects"]] == [[]] * len(EXAMPLE["effects"])
     assert written["fit"].pop("heldout_chose") is False
+    assert [change.pop("over_equivalents") for change in written["psi"].values()] == [None] * len(EXAMPLE["psi"])
     assert written == EXAMPLE | dict.fromkeys(("belief", "predictive_check", "stacking"))
     assert to_json(from_json(text)) == text
 

@@ -1,7 +1,7 @@
 """psi that hang on which of several equivalent effects it is."""
 
-from det2stoc_bayes.mismatch.finding import Effect, Element, Equivalent, Moments
-from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond
+from det2stoc_bayes.mismatch.finding import Effect, Element, Equivalent, Moments, PsiChange
+from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond, over_equivalents
 
 NAMED = {"mass": Moments(mean=2.0, sd=0.1), "stiffness": Moments(mean=60.0, sd=1.0)}
 
@@ -25,3 +25,13 @@ def test_the_sentence_names_the_effect_and_what_it_means():
     assert other_psi(effect()) == other_psi(effect({}, {})) == ""
     assert other_psi(effect({}, NAMED)) == "psi hangs on which it is: effect 1 on rail means mass 2, stiffness 60."
     assert other_psi(effect(*[NAMED] * 5)).endswith("; 2 more mean others.")
+
+
+def test_an_interval_holds_what_every_equivalent_says():
+    change = {n: PsiChange(before=m, after=m, prior_conflict=0.5) for n, m in NAMED.items()}
+    other = {"mass": Moments(mean=3.0, sd=0.2)}
+    told = over_equivalents(change, [effect({}, other)])
+    low, high = told["mass"].over_equivalents
+    assert (round(low, 6), round(high, 6)) == (2.0 - 1.96 * 0.1, 3.0 + 1.96 * 0.2)
+    assert told["stiffness"] == change["stiffness"]
+    assert over_equivalents(change, []) == change
