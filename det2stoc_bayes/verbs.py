@@ -55,11 +55,12 @@ def _fitted(
     num_samples: int,
     progress: Callable[[str, int, int], None],
     options: dict[str, Any],
-) -> "xarray.DataTree":
-    """The posterior of what `pose` gives, once the options are known to be the method's."""
+    by: str = "fit",
+) -> Any:
+    """What a method's function `by` makes of what `pose` gives, once the options are known to be the method's."""
     from det2stoc_bayes.inference import get_method
 
-    run = get_method(method).fit
+    run = getattr(get_method(method), by)
     known = inspect.signature(run).parameters
     for name in options:
         if name not in known:
@@ -113,22 +114,25 @@ def compare(
     check_files(paths.values())
     trees = {run: posterior.load_made(paths[run], how | made) for run, (_, how) in tasks.items()}
     missing, failed = [run for run, tree in trees.items() if tree is None], {}
-    there = len(tasks) - len(missing)
-    progress("comparing methods", there, len(tasks))
+    done = len(tasks) - len(missing)
+    progress("comparing methods", done, len(tasks))
     if missing and not isinstance(source, Study):
         source.problem.prepare()  # once, and not by every task
-    with workers(jobs, cluster, progress, most=len(missing)) as executor:
+    together = _together(tasks, missing)
+    with workers(jobs, cluster, progress, most=len(together)) as executor:
         here = isinstance(executor, Here)
         draw = partial(_drawn, source, tasks, 0 if here else 1, progress if here else _silent)
-        for done, (run, result) in enumerate(finished(executor, draw, missing), there + 1):
+        for some, result in finished(executor, draw, together):
             try:
-                tree = result()
+                found = result()
             except (MethodNotApplicable, SamplingFailed, SimulationDiverged) as error:
-                failed[run] = str(error)  # the others may run
+                failed |= dict.fromkeys(some, str(error))  # the others may run
             else:
-                tree.attrs["asked"] = json.dumps(tasks[run][1] | made, sort_keys=True)
-                posterior.save(tree, paths[run])
-                trees[run] = tree
+                for run, tree in zip(some, found, strict=True):
+                    tree.attrs["asked"] = json.dumps(tasks[run][1] | made, sort_keys=True)
+                    posterior.save(tree, paths[run])
+                    trees[run] = tree
+            done += len(some)
             progress("comparing methods", done, len(tasks))
     runs = [Run(run, tree, _kind(tasks[run][0])) for run, tree in trees.items() if tree is not None]
     if not runs:
@@ -151,18 +155,36 @@ def _known(name: str, out: Path, seed: int, engine: str) -> "tuple[Study | Posed
     return source, None if exact is None else known_reference(*exact, problem.names, seed)
 
 
+def _together(tasks: Mapping[str, tuple[str, dict[str, Any]]], runs: Sequence[str]) -> list[tuple[str, ...]]:
+    """Runs that the same learning serves, with and without refinement; each other one alone."""
+    from det2stoc_bayes.inference import get_method
+
+    groups: dict[tuple[str, int | str], list[str]] = {}
+    for run in runs:
+        name, how = tasks[run]
+        learns = hasattr(get_method(name), "refinements")
+        groups.setdefault((name, how["seed"]) if learns else ("", run), []).append(run)
+    return [tuple(group) for group in groups.values()]
+
+
 def _drawn(
     source: "Study | Posed",
     tasks: Mapping[str, tuple[str, dict[str, Any]]],
     num_threads: int,
     progress: Callable[[str, int, int], None],
-    run: str,
-) -> "xarray.DataTree":
-    name, how = tasks[run]
-    if isinstance(source, Study):
-        return fit(source, name, num_threads=num_threads, progress=progress, **how)
+    runs: tuple[str, ...],
+) -> "list[xarray.DataTree]":
+    name, how = tasks[runs[0]]
+
+    def pose() -> "Inferred":
+        return make_problem(Simulator(source, how["engine"], num_threads)) if isinstance(source, Study) else source
+
+    about = name, how["seed"], how["num_samples"], progress
+    if len(runs) > 1:
+        refines = [tasks[run][1].get("refine", "none") for run in runs]
+        return _fitted(pose, *about, {"refines": refines}, by="refinements")
     options = {key: value for key, value in how.items() if key not in ("seed", "engine", "num_samples")}
-    return _fitted(lambda: source, name, how["seed"], how["num_samples"], progress, options)
+    return [_fitted(pose, *about, options)]
 
 
 def _silent(stage: str, done: int, total: int) -> None:

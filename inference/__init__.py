@@ -1,7 +1,8 @@
 """Inference methods by name: one module a method, each with `fit(problem, key, *, ...) -> DataTree`.
 
 A method that learns once and then infers from any recordings of a kind also has `train(problem, key, *, ...)`, whose
-result can be pickled, and `apply(trained, problem, key, *, num_samples, ...) -> DataTree`.
+result can be pickled, and `apply(trained, problem, key, *, num_samples, ...) -> DataTree`; and
+`refinements(problem, key, refines, *, ...)`, which learns once for results with and without refinement.
 """
 
 from importlib import import_module

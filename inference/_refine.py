@@ -81,10 +81,16 @@ class Weighed:
 
     def moved(
         self, density: AnyDensity, stretch: Float[np.ndarray, "size size"], to: Float[np.ndarray, " size"]
-    ) -> "Weighed":
-        """The draws stretched about their mean, which goes to `to`; the proposal's density goes along."""
+    ) -> "Weighed | None":
+        """The draws stretched about their mean, which goes to `to`, with the proposal's density.
+
+        None where none can be simulated there.
+        """
         z = to + (self.z - self.z.mean(0)) @ stretch.T
-        return self.of(density, z, self.proposal - np.linalg.slogdet(stretch)[1])
+        try:
+            return self.of(density, z, self.proposal - np.linalg.slogdet(stretch)[1])
+        except SimulationDiverged:
+            return None
 
 
 def num_proposed(num_samples: int, refine: Refine) -> int:
@@ -134,14 +140,14 @@ def matched(density: AnyDensity, drawn: Weighed) -> tuple[Weighed, int]:
     """
     for moves in range(MOST_MOVES):
         enough = drawn.k_hat <= ENOUGH and drawn.effective >= len(drawn.z) / SURPLUS
-        better = None if enough else next((m for m in _moves(density, drawn) if m.beats(drawn)), None)
+        better = None if enough else next((m for m in _moves(density, drawn) if m and m.beats(drawn)), None)
         if better is None:
             return drawn, moves
         drawn = better
     return drawn, MOST_MOVES
 
 
-def _moves(density: AnyDensity, drawn: Weighed) -> Iterator[Weighed]:
+def _moves(density: AnyDensity, drawn: Weighed) -> Iterator[Weighed | None]:
     """The draws with the weighted ones' mean; with their variances, too; with their covariance."""
     weights, size = drawn.weights, density.size
     to = weights @ drawn.z

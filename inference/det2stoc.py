@@ -5,7 +5,7 @@ psi without simulating; the exact likelihood of each draw stands beside it (`log
 says whether the posterior can be trusted, and by which `refine="psis"` corrects it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,15 +51,31 @@ def fit(
     `num_simulated` stretches of recordings are simulated a turn, `num_steps` steps train its decoder. `refine`:
     "psis" resamples by the exact likelihood.
     """
+    learning = {"num_iterations": num_iterations, "num_simulated": num_simulated, "num_steps": num_steps}
+    return refinements(problem, key, [refine], num_samples=num_samples, progress=progress, **learning)[0]
+
+
+def refinements(
+    problem: Inferred,
+    key: int | jax.Array,
+    refines: Sequence[Refine],
+    *,
+    num_samples: int = 1000,
+    num_iterations: int = 3,
+    num_simulated: int = 10_000,
+    num_steps: int = 4_000,
+    progress: Progress = lambda *_: None,
+) -> list[DataTree]:
+    """As `fit`, for each `refine` by the same learning, whose cost each result bears."""
     options = {
         "num_samples": num_samples,
         "num_iterations": num_iterations,
         "num_simulated": num_simulated,
         "num_steps": num_steps,
-        "refine": refine,
     }
     problem = of_study(problem, "det2stoc", "has no transitions to learn from")
-    num_proposed(1, refine)  # what it may be, told before the work
+    for refine in refines:
+        num_proposed(1, refine)  # what it may be, told before the work
     key = as_key(key)
     learn, draw, judge = jax.random.split(key, 3)
     look = jax.random.fold_in(judge, 1)
@@ -72,13 +88,16 @@ def fit(
             turns.append(turn)
             progress(len(turns), stages)
         surrogate = Surrogate.of(density.problem, turns[-1], real)
-        tree = _tree(density, surrogate, (draw, judge), num_samples, refine, options, seed_of(key), cost)
+        trees = [
+            _tree(density, surrogate, (draw, judge), num_samples, how, options | {"refine": how}, seed_of(key), cost)
+            for how in refines
+        ]
         progress(stages, stages)
         simulator = turns[-1].predictive
         told = predictions(simulator, transitions, heldout, judge)
         unlike = surprise(turns[0], transitions, numpy_random(look))
     groups = {"turns": _told(density.problem, turns), "surprise": unlike.told(), "predictions": told}
-    return with_groups(tree, **groups, simulator=kept(simulator, transitions))
+    return [with_groups(tree, **groups, simulator=kept(simulator, transitions)) for tree in trees]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ of training, at no cost of simulations. What was learned once serves for others 
 how far these are from them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
@@ -62,16 +62,46 @@ def fit(
         "patience": patience,
         "num_epochs": num_epochs,
     }
-    options = {"num_samples": num_samples} | learning | {"refine": refine}
+    return refinements(problem, key, [refine], num_samples=num_samples, progress=progress, **learning)[0]
+
+
+def refinements(
+    problem: Inferred,
+    key: int | jax.Array,
+    refines: Sequence[Refine],
+    *,
+    num_samples: int = 1000,
+    num_simulations: int = 5_000,
+    num_features: int = 32,
+    num_members: int = 4,
+    width: int = 64,
+    patience: int = 20,
+    num_epochs: int = 300,
+    progress: Progress | None = None,
+) -> list[DataTree]:
+    """As `fit`, for each `refine` by the same learning, whose cost each result bears."""
+    learning = {
+        "num_simulations": num_simulations,
+        "num_features": num_features,
+        "num_members": num_members,
+        "width": width,
+        "patience": patience,
+        "num_epochs": num_epochs,
+    }
+    options = {"num_samples": num_samples} | learning
     if isinstance(problem, Posed):
-        return _vectors.fit(problem, key, options, progress or (lambda *_: None))
-    each = num_proposed(per_chain(num_samples, NUM_CHAINS), refine)
+        told = progress or (lambda *_: None)
+        return [_vectors.fit(problem, key, options | {"refine": refine}, told) for refine in refines]
+    each = [num_proposed(per_chain(num_samples, NUM_CHAINS), refine) for refine in refines]
     _refuse(problem, num_simulations)
     learn, draw = jax.random.split(key := as_key(key))
     with measured(problem) as cost:
         density, random = density_of(problem), numpy_random(key)
         trained = _learned(density, random, learn, progress, **learning)
-        return _tree(trained, density, draw, random, each, refine, options, seed_of(key), cost)
+        return [
+            _tree(trained, density, draw, random, count, how, options | {"refine": how}, seed_of(key), cost)
+            for how, count in zip(refines, each, strict=True)
+        ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from det2stoc_bayes import cli, verbs
 from det2stoc_bayes.comparison import Run, compare, shortcomings
 from det2stoc_bayes.errors import Det2StocError
-from det2stoc_bayes.inference import EXACT, get_method
+from det2stoc_bayes.inference import EXACT, get_method, npe
 from det2stoc_bayes.inference._surprise import Surprise
 from det2stoc_bayes.models import linear_gaussian
 from det2stoc_bayes.posterior import with_groups
@@ -203,6 +203,18 @@ def test_the_command_draws_what_is_missing_and_nothing_twice(gaussian_study, tmp
     told, _ = run("laplace")
     assert "this speaks against it" in told["doubts"][0] and f"warning: {told['doubts'][0]}\n" in shown[-1]
     assert json.loads((out / "comparison.json").read_text())["doubts"] == told["doubts"]
+
+
+def test_what_was_learned_once_serves_with_and_without_refinement(gaussian_study, tmp_path, monkeypatch):
+    learned = []
+    plain = npe._learned
+    small = {"num_simulations": 300, "num_members": 1, "width": 8, "num_epochs": 2}
+    monkeypatch.setattr(npe, "_learned", lambda *a, **k: (learned.append(a), plain(*a, **k | small))[1])
+    found = verbs.compare(load_study(gaussian_study), ["npe", "npe+psis"], tmp_path, num_samples=80, jobs=1)
+    assert len(learned) == 1 and {r.label: r.num_draws for r in found.rows} == {"npe": 80, "npe+psis": 80}
+    assert [r.refined for r in found.rows] == [False, True] and all(r.simulations >= 300 for r in found.rows)
+    alone = verbs.compare(load_study(gaussian_study), ["npe+psis"], tmp_path / "alone", num_samples=80, jobs=1)
+    np.testing.assert_array_equal(alone.runs[0].draws, found.runs[1].draws)
 
 
 @pytest.mark.parametrize(
