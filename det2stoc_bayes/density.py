@@ -1,7 +1,8 @@
 """The declared likelihood, shared by all methods: given noise, initial states integrated out about the MAP.
 
 log p(y | z) = log normalizer - 1/2 |project(stack(y - prediction(z)))|^2, with starts and projection frozen
-at the MAP: every method then has the same target, however it moves.
+at the MAP: every method then has the same target, however it moves. Under noise with heavy tails nothing can be
+projected out, and the starts are refitted at each z, by sensitivities from the MAP.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.likelihood import LatentStarts
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem, repeat_start
+from det2stoc_bayes.robust_starts import left_over
 
 MAX_VALUES = 16_000_000  # residual numbers held at once
 STEP = 0.1  # of a posterior sd: finite difference of a gradient (rounding over long rollouts forbids less)
@@ -51,6 +53,14 @@ class Density:
         """The terms of `LatentStarts.log_normalizer`, one a segment, tempered."""
         return self.temper * self.latent.log_normalizers
 
+    @cached_property
+    def sensitivity(self) -> Float[np.ndarray, "segments values states"]:
+        """Of predictions to the initial states, in noise sds."""
+        weight = self.problem.weight
+        weighed = self.latent.basis[:, : weight.shape[1]] @ self.latent.triangle
+        slope = np.divide(self.latent.weight, weight, out=np.ones_like(weight), where=weight > 0)
+        return weighed / slope[..., None]
+
     def projected(self, z: Float[np.ndarray, "points size"]) -> Float[np.ndarray, "segments stacked points"]:
         """Whitened residuals that no initial state explains, tempered; NaN where a simulation diverged."""
         problem, points = self.problem, len(z)
@@ -59,7 +69,10 @@ class Density:
         residuals = problem.residuals(predicted)
         residuals[diverged] = np.nan
         columns = np.moveaxis(residuals.reshape(points, problem.segments.count, -1), 0, -1)
-        columns = problem.measurement.bend(columns * problem.weight[..., None])
+        columns = columns * problem.weight[..., None]
+        if problem.measurement.degrees_of_freedom is not None:
+            left = left_over(columns, self.offset, self.sensitivity, self.latent.prior_sd, problem.measurement)
+            return np.sqrt(self.temper) * left
         offset = np.broadcast_to(self.offset[..., None], (*self.offset.shape, points))
         return np.sqrt(self.temper) * self.latent.project(self.latent.stack_whitened(columns, offset))
 

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from det2stoc_bayes.density import Density
 from det2stoc_bayes.likelihood import residuals
+from det2stoc_bayes.robust_starts import left_over
 from det2stoc_bayes.vector_density import AnyDensity
 
 Terms = Callable[[Array], Array]  # z (size) -> log likelihood by recording (recordings)
@@ -114,10 +115,15 @@ def mjx_terms(density: Density) -> Terms:
     rows, count = jnp.asarray(problem.segments.recording), len(problem.segments.recordings)
     normalizer, offset = jnp.asarray(density.normalizer), jnp.asarray(density.offset)[..., None]
 
+    def left(error):
+        if problem.measurement.degrees_of_freedom is None:
+            return latent.project(latent.stack_whitened(error[..., None], offset, jnp), jnp)[..., 0]
+        about = density.offset, density.sensitivity, latent.prior_sd, problem.measurement
+        return left_over(error[..., None], *about, jnp)[..., 0]
+
     def terms(z):
         r = residuals(predict(z), observed, problem.quaternions, jnp)
-        bent = problem.measurement.bend(r * weight, jnp)[..., None]
-        projected = latent.project(latent.stack_whitened(bent, offset, jnp), jnp)[..., 0]
+        projected = left(r * weight)
         value = normalizer - 0.5 * density.temper * (projected**2).sum(1)
         value = jnp.where(jnp.isfinite(value), value, -jnp.inf)
         return jax.ops.segment_sum(value, rows, num_segments=count)
