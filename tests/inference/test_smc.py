@@ -5,8 +5,9 @@ import pytest
 from scipy import stats
 
 from det2stoc_bayes.density import log_prior
-from det2stoc_bayes.errors import SamplingFailed
+from det2stoc_bayes.errors import MethodNotApplicable, SamplingFailed
 from det2stoc_bayes.inference import smc
+from det2stoc_bayes.inference._tempering import Tempering, chain_length
 from det2stoc_bayes.inference.smc import temper
 from det2stoc_bayes.psis import smooth
 
@@ -85,11 +86,37 @@ def test_diverged_simulations_have_no_weight():
 @pytest.mark.long
 def test_from_the_mode_it_is_the_same_posterior(gaussian_problem, fits):
     cheap = smc.fit(gaussian_problem, 3, initial="mode")
-    assert len(cheap.sample_stats.tempering) < len(fits("smc").sample_stats.tempering)
+    assert cheap.sample_stats.tempering.sizes["stage"] < fits("smc").sample_stats.tempering.sizes["stage"]
     for name, draws in fits("smc").posterior.items():
         sd = float(draws.std())
         assert abs(float(cheap.posterior[name].mean() - draws.mean())) < 4 * sd * np.sqrt(2 / 1000)
         assert float(cheap.posterior[name].std()) == pytest.approx(sd, rel=0.12)
+
+
+@pytest.mark.parametrize(("count", "length"), [(1000, 10), (250, 10), (100, 5), (1004, 4), (1999, 1), (24, 1)])
+def test_chains_divide_the_particles_and_are_many(count, length):
+    assert chain_length(count) == length and count % length == 0
+    moved = temper(log_prior, banana, prior_draws(np.random.default_rng(1), count), 1, waste_free=True)
+    assert len(moved.particles) == count and min(moved.acceptance) > 0
+
+
+@pytest.mark.parametrize(("options", "arrived"), [({}, True), ({"num_moves": 1, "target_ess": 0.01}, False)])
+def test_groups_disagree_until_they_have_arrived(options, arrived):
+    """They know nothing of each other, so R-hat is as of chains: of six keys 1.009 at most, and in haste 85 or more."""
+    narrow = stats.multivariate_normal(np.full(3, 1.0), 0.02**2)
+    way = Tempering(log_prior, lambda z: np.reshape(narrow.logpdf(z), len(z)), 100, **options)
+    first = np.random.default_rng(0).standard_normal((4, 100, 3))
+    z = np.stack([way.run(group, k).particles for k, group in enumerate(first)])
+    within, between = z.var(1, ddof=1).mean(0), z.mean(1).var(0, ddof=1)
+    assert (np.sqrt(1 - 1 / 100 + between / within).max() < 1.05) == arrived
+
+
+@pytest.mark.parametrize(
+    ("options", "said"), [({"num_moves": 0}, "num_moves = 0"), ({"num_samples": 8}, "40 at least")]
+)
+def test_too_little_is_refused(gaussian_problem, options, said):
+    with pytest.raises(MethodNotApplicable, match=said):
+        smc.fit(gaussian_problem, 0, **options)
 
 
 def test_chains_that_keep_their_states_take_fewer_densities():
