@@ -113,11 +113,12 @@ def run(
     if there is something to do.
     """
     mark = hashlib.sha256(json.dumps(dict(made), sort_keys=True).encode()).hexdigest()[:16]
+    experiment = None if path.exists() else prepare()  # a method that cannot do it leaves no folder
     with appending(path) as (lines, append):
         done = {r.index: r for r in _read(lines, mark) if r.index < count}
         progress(len(done), count)
         missing = [i for i in range(count) if i not in done]
-        for index, result in finished(executor, prepare(), missing) if missing else ():
+        for index, result in finished(executor, experiment or prepare(), missing) if missing else ():
             done[index] = result()
             append({"made": mark} | asdict(done[index]))
             progress(len(done), count)
@@ -132,7 +133,8 @@ def _read(lines: Iterable[Mapping[str, Any]], mark: str) -> list[Replication]:
             continue
         with suppress(ValidationError):  # a line that something else wrote is done again
             one = known.validate_json(json.dumps({n: line[n] for n in names if n in line}), strict=True)
-            whole += [one] if all(len(row) == len(one.truth) for row in one.draws) else []
+            values = np.array([v for row in one.draws for v in row], float)
+            whole += [one] if np.isfinite(values).all() and {*map(len, one.draws)} <= {len(one.truth)} else []
     return whole
 
 
@@ -162,7 +164,7 @@ class Calibration:
     ranks: Int[np.ndarray, "replications size"]
     credibility: Float[np.ndarray, " replications"]
     num_draws: int
-    num_few: int  # replications whose draws were worth fewer than num_draws
+    num_few: int  # replications whose draws were worth fewer than NUM_DRAWS
     failed: tuple[str, ...]
     simulations: int
     seconds: float
@@ -174,15 +176,21 @@ class Calibration:
         return not self.unjudged and self.p_tarp >= LEVEL and not any(u.rejected for u in self.unknowns)
 
     @property
+    def shortage(self) -> str:
+        """In how many replications draws are worth fewer than they are taken for; empty where in none."""
+        if not self.num_few:
+            return ""
+        return f"In {self.num_few} replications the draws are worth fewer than {NUM_DRAWS} independent ones."
+
+    @property
     def unjudged(self) -> str:
         """Why tests would say nothing, if so: those that were fitted are a choice, or draws are too few."""
         n, every = len(self.ranks), len(self.failed) + len(self.ranks)
         if len(self.failed) > MOST_FAILED * every:
             return f"{len(self.failed)} of {every} replications could not be fitted"
         if self.num_draws < NUM_DRAWS or self.num_few > MOST_FEW * n:
-            return (
-                f"of {self.num_few} of {n} replications the draws are worth fewer than {NUM_DRAWS} (more --num-samples)"
-            )
+            few = f"{self.num_few} of {n} replications"
+            return f"the draws of {few} are worth fewer than the {NUM_DRAWS} that are needed (more --num-samples)"
         return ""
 
     @property
@@ -224,7 +232,7 @@ def judge(
     size = len(names)
     sds = draws.std(1, ddof=1).mean(0)
     rows = [_unknown(names[j], float(p[j]), float(p[size + j]), shares[:, j], float(sds[j])) for j in range(size)]
-    few = sum(r.effective < num_draws for r in fitted)
+    few = sum(min(r.effective, len(r.draws)) < NUM_DRAWS for r in fitted)
     simulations, seconds = sum(r.simulations for r in fitted), sum(r.seconds for r in fitted)
     return Calibration(
         problem, method, trained_once, tuple(rows), float(p[-1]), ranks, credibility, num_draws, few, failed,

@@ -15,12 +15,13 @@ from det2stoc_bayes.psis import bfmi, leave_one_out, reliable, thinned
 from det2stoc_bayes.report.summary import summarize
 from det2stoc_bayes.run_statistics import autocorrelation_times, divergences, energies, predictive_p, surprise_p
 from det2stoc_bayes.two_samples import c2st, gaussian_kl, mean_errors, sd_errors, sliced_wasserstein
+from det2stoc_bayes.vector_density import Inferred
 
 MOST_R_HAT, LEAST_ESS, LEAST_TIMES = 1.01, 400, 50  # gates of an exact run: chains, draws, autocorrelation times
 LEAST_BFMI = 0.3  # Betancourt 2016
 AGREE = 0.55  # C2ST of two samplers of the same posterior
 NEAR = (0.6, 0.2, 0.2)  # C2ST, error of means in sds, relative error of sds: an approximation that may stand for it
-MOST_DRAWS = 4000  # that distances are taken from
+MOST_DRAWS, LEAST_WORTH = 4000, 10  # that distances are taken from
 
 Kind = Literal["exact", "approximate", "no posterior"]
 Verdict = Literal["trust", "trust after refinement", "do not trust", "no posterior"]
@@ -58,16 +59,18 @@ class Reference:
     draws: Float[np.ndarray, "draws size"]
     unknowns: tuple[str, ...]
     gaussian: tuple[Float[np.ndarray, " size"], Float[np.ndarray, "size size"]] | None = None  # its closed form
+    named: Mapping[str, Float[np.ndarray, " draws"]] | None = None  # of that, the draws in their own units
     agreeing: tuple[str, ...] = ()
     contradicting: tuple[str, ...] = ()
 
 
 def known_reference(
-    mean: Float[np.ndarray, " size"], covariance: Float[np.ndarray, "size size"], unknowns: tuple[str, ...], seed: int
+    mean: Float[np.ndarray, " size"], covariance: Float[np.ndarray, "size size"], problem: Inferred, seed: int
 ) -> Reference:
-    """A posterior that is known in closed form, with draws of it."""
+    """A problem's posterior that is known in closed form, with draws of it."""
     draws = np.random.default_rng(seed).multivariate_normal(mean, covariance, MOST_DRAWS)
-    return Reference("the closed form", draws, unknowns, (mean, covariance))
+    named = {name: np.asarray(values) for name, values in problem.constrained(draws).items()}
+    return Reference("the closed form", draws, tuple(problem.names), (mean, covariance), named)
 
 
 @dataclass(frozen=True)
@@ -116,16 +119,20 @@ class Comparison:
     rows: tuple[Row, ...]
     reference: Reference | None
     failed: Mapping[str, str]
+    replaced: tuple[str, ...] = ()  # of earlier runs, each with a reason
 
 
 def compare(
-    runs: Sequence[Run], reference: Reference | None = None, failed: Mapping[str, str] = MappingProxyType({})
+    runs: Sequence[Run],
+    reference: Reference | None = None,
+    failed: Mapping[str, str] = MappingProxyType({}),
+    replaced: tuple[str, ...] = (),
 ) -> Comparison:
     """Rows of all runs; without a reference of the problem's own the best exact run that passes the gates is it."""
     known = [_described(run) for run in runs]
     reference = reference or _chosen(runs, known)
     rows = [_judged(_held_against(run, row, reference), reference) for run, row in zip(runs, known, strict=True)]
-    return Comparison(tuple(runs), tuple(rows), reference, failed)
+    return Comparison(tuple(runs), tuple(rows), reference, failed, replaced)
 
 
 def shortcomings(row: Row) -> list[str]:
@@ -186,7 +193,8 @@ def _chosen(runs: Sequence[Run], rows: Sequence[Row]) -> Reference | None:
         return None
     best = max(passed, key=lambda p: p[0])[1]
     assert best.draws is not None
-    found = Reference(best.label, thinned(best.draws, MOST_DRAWS), best.unknowns)
+    row = next(r for run, r in zip(runs, rows, strict=True) if run is best)
+    found = Reference(best.label, thinned(best.draws, _worth(row)), best.unknowns)
     held = [_held_against(run, row, found) for _, run, row in passed if run is not best]
     agreeing = tuple(r.label for r in held if r.c2st is not None and r.c2st < AGREE and _is_near(r))
     contradicting = tuple(r.label for r in held if r.c2st is not None and not _is_near(r))
@@ -202,12 +210,18 @@ def _held_against(run: Run, row: Row, reference: Reference | None) -> Row:
     draws = thinned(run.draws, MOST_DRAWS)
     return replace(
         row,
-        c2st=c2st(draws, reference.draws),
+        # A classifier takes draws that hang together for a cluster: of them as many as they are worth.
+        c2st=c2st(thinned(run.draws, _worth(row)), reference.draws),
         wasserstein=sliced_wasserstein(draws, reference.draws),
         kl=None if reference.gaussian is None else gaussian_kl(run.draws, *reference.gaussian),
         mean_error=float(np.abs(mean_errors(draws, reference.draws)).max()),
         sd_error=float(np.abs(sd_errors(draws, reference.draws)).max()),
     )
+
+
+def _worth(row: Row) -> int:
+    """Draws that a run's are worth, MOST_DRAWS at most."""
+    return min(MOST_DRAWS, row.num_draws if row.ess is None else max(int(row.ess), LEAST_WORTH))
 
 
 def _is_near(row: Row) -> bool:
@@ -248,8 +262,8 @@ def _verdict(row: Row, reference: Reference | None) -> tuple[Verdict, str]:
     """Of an approximation, by the reference where there is one, else by its weights."""
     weighable = row.k_hat is not None and row.k_hat < reliable(max(row.num_weighed, 2))
     told = "" if row.k_hat is None else f"k-hat of its weights is {row.k_hat:.2g}"
-    if row.refined and (row.ess or 0.0) < LEAST_ESS:
-        return "do not trust", f"{row.ess or 0.0:.0f} effective draws are left (allowed: at least {LEAST_ESS})"
+    if (row.ess or 0.0) < LEAST_ESS:
+        return "do not trust", f"{row.ess or 0.0:.0f} effective draws (allowed: at least {LEAST_ESS})"
     if reference is not None and row.c2st is not None and not reference.contradicting:
         said = f"{_distance(row)} from {reference.label}"
         if _is_near(row):

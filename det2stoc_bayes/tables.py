@@ -248,8 +248,7 @@ def calibration_tables(found: "det2stoc_bayes.calibration.Calibration") -> Rende
     notes = []
     if found.failed:
         notes.append(f"{len(found.failed)} replications could not be fitted; the first: {found.failed[0]}")
-    if found.num_few:
-        notes.append(f"In {found.num_few} replications the draws are worth fewer than {found.num_draws}.")
+    notes += [found.shortage] if found.shortage else []
     return _stack([made, *(Text(n) for n in notes), Text(found.verdict, style="bold")])
 
 

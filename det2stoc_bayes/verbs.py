@@ -112,8 +112,12 @@ def compare(
             tasks[label if s == seed else f"{label}, seed {s}"] = name, how
     paths = {run: Path(out) / "runs" / f"{run.replace(', seed ', '_seed_')}.nc" for run in tasks}
     check_files(paths.values())
-    trees = {run: posterior.load_made(paths[run], how | made) for run, (_, how) in tasks.items()}
+    asked = {run: how | made | {"method": name} for run, (name, how) in tasks.items()}
+    trees = {run: posterior.load_made(paths[run], asked[run]) for run in tasks}
     missing, failed = [run for run, tree in trees.items() if tree is None], {}
+    replaced = tuple(
+        f"{paths[run]} was damaged or drawn otherwise, and is replaced" for run in missing if paths[run].exists()
+    )
     done = len(tasks) - len(missing)
     progress("comparing methods", done, len(tasks))
     if missing and not isinstance(source, Study):
@@ -129,15 +133,16 @@ def compare(
                 failed |= dict.fromkeys(some, str(error))  # the others may run
             else:
                 for run, tree in zip(some, found, strict=True):
-                    tree.attrs["asked"] = json.dumps(tasks[run][1] | made, sort_keys=True)
+                    tree.attrs["asked"] = json.dumps(asked[run], sort_keys=True)
                     posterior.save(tree, paths[run])
                     trees[run] = tree
             done += len(some)
             progress("comparing methods", done, len(tasks))
     runs = [Run(run, tree, _kind(tasks[run][0])) for run, tree in trees.items() if tree is not None]
     if not runs:
-        raise MethodNotApplicable("; ".join(f"{label}: {why}" for label, why in failed.items()))
-    return compare(runs, reference, failed={run: failed[run] for run in tasks if run in failed})
+        raise MethodNotApplicable("; ".join(failed.values()))
+    why = {run: failed[run] for run in tasks if run in failed}
+    return compare(runs, reference, failed=why, replaced=replaced)
 
 
 def _known(name: str, out: Path, seed: int, engine: str) -> "tuple[Study | Posed, Reference | None]":
@@ -152,7 +157,7 @@ def _known(name: str, out: Path, seed: int, engine: str) -> "tuple[Study | Posed
         source = load_study(record(name, out / "problem" / name))
         problem = make_problem(Simulator(source))
     exact = closed_form(name, problem)
-    return source, None if exact is None else known_reference(*exact, problem.names, seed)
+    return source, None if exact is None else known_reference(*exact, problem, seed)
 
 
 def _together(tasks: Mapping[str, tuple[str, dict[str, Any]]], runs: Sequence[str]) -> list[tuple[str, ...]]:

@@ -56,7 +56,8 @@ class Composer:
             effects = (self._numerical(), *effects)
         candidates, experiment = self._open_question()
         named = effects if judged.verdict == "mismatch" else ()
-        fit, psi = self._scores(), over_equivalents(self._psi(), named)
+        supports = {p.name: p.prior.support for p in self.study.parameters}
+        fit, psi = self._scores(), over_equivalents(self._psi(), named, supports)
         return finding.Finding.model_validate(
             {
                 "verdict": judged.verdict,

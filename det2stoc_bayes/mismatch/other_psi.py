@@ -25,16 +25,18 @@ def others_beyond(
 
 
 def over_equivalents(
-    psi: Mapping[str, finding.PsiChange], effects: Sequence[finding.Effect]
+    psi: Mapping[str, finding.PsiChange],
+    effects: Sequence[finding.Effect],
+    supports: Mapping[str, tuple[float, float]],
 ) -> dict[str, finding.PsiChange]:
-    """With the interval that holds those of every equivalent that means another value, too."""
+    """With the interval, within the prior's support, that holds those of every equivalent that means another value."""
     out = dict(psi)
     for name, change in psi.items():
         others = [o.psi[name] for e in effects for o in e.equivalent if name in o.psi]
         if others:
             means, sds = np.array([(m.mean, m.sd) for m in (change.after, *others)], float).T
-            interval = float((means - WITHIN * sds).min()), float((means + WITHIN * sds).max())
-            out[name] = change.model_copy(update={"over_equivalents": interval})
+            ends = np.clip([(means - WITHIN * sds).min(), (means + WITHIN * sds).max()], *supports[name])
+            out[name] = change.model_copy(update={"over_equivalents": (float(ends[0]), float(ends[1]))})
     return out
 
 

@@ -30,7 +30,10 @@ def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) ->
     """The report as html text; `doubts` speak against the model, whatever the method."""
     posteriors = {run.label: _posterior(run) for run in found.runs}
     names = list(dict.fromkeys(n for p in posteriors.values() for n in p))
-    reference = posteriors.get(found.reference.label) if found.reference else None
+    held, shown = found.reference, dict(posteriors)
+    if held is not None and held.named is not None:
+        shown[held.label] = {name: draws[None] for name, draws in held.named.items()}
+    reference = None if held is None else shown.get(held.label)
     numbered = [(k, run) for k, run in enumerate(found.runs) if run.draws is not None]
     drawn = [_figures(run, posteriors[run.label], reference, k) for k, run in numbered]
     trusted = [row.label for row in found.rows if row.verdict == "trust"]
@@ -41,15 +44,16 @@ def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) ->
         name=name,
         trusted=trusted,
         doubts=doubts,
-        reference=found.reference,
+        reference=held,
         verdicts=[_verdict(row, number) for number, row in enumerate(found.rows)],
         columns=COLUMNS,
         failed=found.failed,
         rows=[{"label": row.label, "values": cells(row)} for row in found.rows],
-        forests=[_drawn(n, figures.forest_figure(posteriors, n)) for n in names[:MOST_PARAMETERS]],
+        forests=[_drawn(n, figures.forest_figure(shown, n)) for n in names[:MOST_PARAMETERS]],
         costs=[
             _drawn(title, figures.cost_figure(found.rows, cost, title))
             for cost, title in (("seconds_run", "run [s]"), ("simulations", "simulations"))
+            if any(getattr(row, cost) for row in found.rows)
         ],
         runs=drawn,
         efforts=[(row.label, _number(row.seconds_compile), str(row.gradients)) for row in found.rows],

@@ -1,6 +1,7 @@
 """Methods held beside each other: gates, distances, verdicts, and the command that runs what is missing."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.stats import chi2, norm
 from typer.testing import CliRunner
 
 from det2stoc_bayes import cli, verbs
-from det2stoc_bayes.comparison import Run, compare, shortcomings
+from det2stoc_bayes.comparison import Run, compare, known_reference, shortcomings
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.inference import EXACT, get_method, npe
 from det2stoc_bayes.inference._surprise import Surprise
@@ -106,6 +107,20 @@ def test_without_an_exact_run_weights_decide(fits):
     assert prior.verdict == "do not trust"
 
 
+def test_of_few_draws_nothing_is_trusted(fits):
+    few = fits("laplace").map_over_datasets(lambda ds: ds.isel(draw=slice(0, 60)) if "draw" in ds.dims else ds)
+    found = compare([Run("nuts", fits("nuts"), "exact"), Run("laplace", few, "approximate")])
+    assert found.rows[1].verdict == "do not trust" and "effective draws (allowed: at least 400)" in found.rows[1].why
+
+
+def test_a_closed_form_is_drawn_beside_the_runs(gaussian_problem, fits):
+    size = gaussian_problem.size
+    reference = known_reference(np.zeros(size), 0.01 * np.eye(size), gaussian_problem, 0)
+    told = compare_page(compare([Run("laplace", fits("laplace"), "approximate")], reference), name="gaussian")
+    for figure in ("the closed form", "reference"):  # a row of the forest, the grey points of pairs
+        assert f'"name":"{figure}"' in told
+
+
 def test_leave_one_out_has_its_closed_form():
     """A normal mean, flat prior: what is left out is normal about the others' mean, its variance 1 + 1 / (n - 1)."""
     random = np.random.default_rng(0)
@@ -194,8 +209,12 @@ def test_the_command_draws_what_is_missing_and_nothing_twice(gaussian_study, tmp
     assert (out / "report.html").stat().st_size > 1e6
     (out / "runs" / "prior.nc").write_bytes(b"no fit")
     told, mended = run("laplace", "prior", "baseline_cvae")
+    assert "prior.nc was damaged or drawn otherwise, and is replaced" in shown[-1] and "laplace.nc" not in shown[-1]
     assert mended["laplace.nc"] == after["laplace.nc"] and mended["prior.nc"] != after["prior.nc"]
     assert "holdout" in told["failed"]["baseline_cvae"]  # and the others are told
+    shutil.copy(out / "runs" / "laplace.nc", out / "runs" / "prior.nc")  # a file is its method's own
+    _, mended = run("laplace", "prior")
+    assert "prior.nc was damaged or drawn otherwise" in shown[-1]
     before = mended
     _, other = run("laplace", seed=3)
     assert other["laplace.nc"] != before["laplace.nc"] and other["prior.nc"] == before["prior.nc"]

@@ -1,5 +1,7 @@
 """psi that hang on which of several equivalent effects it is."""
 
+import numpy as np
+
 from det2stoc_bayes.mismatch.finding import Effect, Element, Equivalent, Moments, PsiChange
 from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond, over_equivalents
 
@@ -30,8 +32,8 @@ def test_the_sentence_names_the_effect_and_what_it_means():
 def test_an_interval_holds_what_every_equivalent_says():
     change = {n: PsiChange(before=m, after=m, prior_conflict=0.5) for n, m in NAMED.items()}
     other = {"mass": Moments(mean=3.0, sd=0.2)}
-    told = over_equivalents(change, [effect({}, other)])
+    told = over_equivalents(change, [effect({}, other)], dict.fromkeys(NAMED, (1.9, np.inf)))
     low, high = told["mass"].over_equivalents
-    assert (round(low, 6), round(high, 6)) == (2.0 - 1.96 * 0.1, 3.0 + 1.96 * 0.2)
+    assert (round(low, 6), round(high, 6)) == (1.9, 3.0 + 1.96 * 0.2)  # no less than the prior allows
     assert told["stiffness"] == change["stiffness"]
-    assert over_equivalents(change, []) == change
+    assert over_equivalents(change, [], {}) == change
