@@ -5,6 +5,7 @@ simulate in one batch. Waste-free (Dau and Chopin 2022, algorithm 2) every state
 the way, and under the target all of them move.
 """
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -78,10 +79,12 @@ class Tempering:
         build = partial(
             blackjax.adaptive_tempered_smc.build_kernel, *densities, _walk, blackjax.rmh.init, systematic, target_ess
         )
-        self._move_all = self._move = jax.jit(build(), static_argnums=2)
-        self._chain = chain_length(count) if waste_free else 1
-        if self._chain > 1:
-            self._move = jax.jit(build(update_strategy=waste_free_smc(count, self._chain)), static_argnums=2)
+        self._moves = {"all": jax.jit(build(), static_argnums=2)}
+        chain = chain_length(count) if waste_free else 1
+        if chain > 1:
+            self._moves["few"] = jax.jit(build(update_strategy=waste_free_smc(count, chain)), static_argnums=2)
+        self._compiled: dict[str, Callable[..., Any]] = {}
+        self.seconds_compile = 0.0
 
     def run(
         self,
@@ -101,14 +104,14 @@ class Tempering:
         key = as_key(key)
         particles, alive = self._path.alive(np.asarray(particles, dtype=float), numpy_random(key))
         state = blackjax.adaptive_tempered_smc.init(jnp.asarray(particles))
+        state = state._replace(tempering_param=jnp.zeros(()))  # an array, as in later states: compiled once
         tempering, acceptance, evidence = [0.0], [], float(np.log(alive))
         # A stage moves particles under the b that was reached before: further ones move them under the target.
         while len(acceptance) < len(tempering) + num_last - 1:
             key, now = jax.random.split(key)
             step = {"root": _step_root(state.particles, state.weights)[None]}
-            on_the_way = self._chain > 1 and tempering[-1] < 1.0
-            move, num_moves = (self._move, None) if on_the_way else (self._move_all, self._num_moves)
-            state, info = move(now, state, num_moves, step)
+            who = "few" if "few" in self._moves and tempering[-1] < 1.0 else "all"
+            state, info = self._moved(who, now, state, step)
             acceptance.append(float(info.update_info.acceptance_rate.mean()))
             if progress is not None:
                 progress(len(acceptance), max_stages)
@@ -122,6 +125,15 @@ class Tempering:
                     f"tempering came to {reached:.3g} of 1 in {len(acceptance)} of {max_stages} stages"
                 )
         return Tempered(np.asarray(state.particles), tuple(tempering[1:]), tuple(acceptance), evidence)
+
+    def _moved(self, who: str, *given: Any) -> tuple[Any, Any]:
+        """One stage, compiled when it is made first."""
+        if who not in self._compiled:
+            began, (key, state, step) = time.perf_counter(), given
+            num_moves = None if who == "few" else self._num_moves
+            self._compiled[who] = self._moves[who].lower(key, state, num_moves, step).compile()
+            self.seconds_compile += time.perf_counter() - began
+        return self._compiled[who](*given)
 
 
 def chain_length(count: int) -> int:

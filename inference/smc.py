@@ -76,6 +76,7 @@ def fit(
             own = jax.random.fold_in(key, k)
             moved.append(way.run(group, own, num_last=max(density.size, FEWEST_LAST), max_stages=max_stages))
         evidence = np.logaddexp.reduce([one.log_evidence for one in moved]) - np.log(NUM_CHAINS)
+        cost.seconds_compile = way.seconds_compile
         # Neighbours of a group may descend from one particle, and would look like a chain that hardly moves.
         z = np.stack([random.permutation(one.particles) for one in moved])
         terms = density.log_likelihood_by_recording(z.reshape(-1, density.size)).reshape(*z.shape[:2], -1)
