@@ -2,7 +2,8 @@
 
 Observations and reference posteriors are read from the files of the package sbibm; C2ST of 10,000 draws against
 10,000, for each of ten observations. One network a line serves all of them; `npe+psis` resamples 100,000 of its draws
-by the exact likelihood. Lines go to benchmarks/results/compare_sbi.jsonl; the same command goes on where it stopped.
+by the exact likelihood. det2stoc's CVAE stands beside it as it is. Lines go to benchmarks/results/compare_sbi.jsonl;
+the same command goes on where it stopped.
 """
 
 import argparse
@@ -15,10 +16,12 @@ from typing import Any
 
 import jax
 import numpy as np
+from cvae_of_vectors import train as train_cvae
 from logs import append, logged
 from two_samples_jax import c2sts
 
 from det2stoc_bayes.blind.proof import revision
+from det2stoc_bayes.inference._amortized import Options
 from det2stoc_bayes.inference._flow import ConditionalFlow, train
 from det2stoc_bayes.inference._vectors import refined
 from det2stoc_bayes.models import vector_problem
@@ -82,16 +85,35 @@ def line(name: str, budget: int, seed: int) -> dict[str, Any]:
     return about | columns
 
 
+def line_of_cvae(name: str, budget: int, seed: int) -> dict[str, Any]:
+    """det2stoc's CVAE, trained once, on the ten observations."""
+    problem = vector_problem(name)
+    z, x = problem.draw(budget, np.random.default_rng([seed, budget]))
+    began = time.perf_counter()
+    learned = train_cvae(z, x, jax.random.key(seed), Options(full=True))
+    seconds = time.perf_counter() - began
+    found, reference = [], []
+    for k in range(1, NUM_OBSERVATIONS + 1):
+        key, folder = jax.random.fold_in(jax.random.key(seed), k), files_of(name, k)
+        draws = learned.sample(key, table(folder / "observation.csv")[0], NUM_DRAWS)
+        found.append(problem.constrained(draws))
+        reference.append(table(folder / "reference_posterior_samples.csv.bz2"))
+    scores = [round(float(value), 4) for value in c2sts(np.stack(reference), np.stack(found))]
+    return {"seconds": round(seconds, 1), "device": jax.devices()[0].device_kind, "det2stoc": scores}
+
+
 def summary(lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """A row a problem and number of simulations: mean C2ST and its standard error over observations.
 
     Seconds are an accelerator's where some fit ran on one.
     """
-    yield "| problem | simulations | npe | npe + PSIS | k-hat too high | published | seeds | s a fit |"
-    yield "|---|---|---|---|---|---|---|---|"
+    titles = "problem", "simulations", "npe", "npe + PSIS", "k-hat too high", "published", "seeds", "s a fit"
+    yield f"| {' | '.join([*titles, "det2stoc's CVAE", 'seeds'])} |"
+    yield "|---|---|---|---|---|---|---|---|---|---|"
     for name, (k, budget) in itertools.product(PROBLEMS, enumerate(BUDGETS)):
-        last = {x["seed"]: x for x in lines if x["problem"] == name and x["simulations"] == budget}
-        own = list(last.values())
+        mine = [x for x in lines if x["problem"] == name and x["simulations"] == budget]
+        own = list({x["seed"]: x for x in mine if "npe" in x}.values())
+        beside = list({x["seed"]: x for x in mine if "det2stoc" in x}.values())
         if own:
             cells = [_mean([one[way] for one in own]) for way in WAYS]
             k_hat = np.mean([one["k_hat"] for one in own], 0)
@@ -99,7 +121,9 @@ def summary(lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
             accelerated = [one["seconds"] for one in own if one.get("device", "cpu") != "cpu"]
             seconds = np.mean(accelerated or [one["seconds"] for one in own])
             published = f"{PUBLISHED[name][k]:.3f}"
-            yield f"| {name} | {budget} | {' | '.join(cells)} | {published} | {len(own)} | {seconds:.0f} |"
+            row = [name, str(budget), *cells, published, str(len(own)), f"{seconds:.0f}"]
+            row += [_mean([one["det2stoc"] for one in beside]) if beside else "", str(len(beside))]
+            yield f"| {' | '.join(row)} |"
 
 
 def _mean(scores: Sequence[Sequence[float]]) -> str:
@@ -115,13 +139,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--log", type=Path, default=LOG)
     given = parser.parse_args()
-    done = {(one["problem"], one["simulations"], one["seed"]) for one in logged(given.log)}
+    makers = {"npe": line, "det2stoc": line_of_cvae}
+    done = {(method, one["problem"], one["simulations"], one["seed"]) for one in logged(given.log) for method in one}
     for seed in range(given.seeds):
-        for budget, name in itertools.product(given.simulations, given.problems):
-            if (name, budget, seed) not in done:
+        for method, budget, name in itertools.product(makers, given.simulations, given.problems):
+            if (method, name, budget, seed) not in done:
                 about = {"commit": revision(), "problem": name, "simulations": budget, "seed": seed}
-                append(given.log, about | line(name, budget, seed))
-                print(*(list(summary([logged(given.log)[-1]]))[2:]), flush=True)
+                found = makers[method](name, budget, seed)
+                append(given.log, about | found)
+                print(f"{method}, {name}, {budget}, seed {seed}: {np.mean(found[method]):.3f}", flush=True)
     print(*summary(logged(given.log)), sep="\n")
 
 

@@ -72,9 +72,9 @@ def fit(
         told = progress or (lambda *_: None)
         moved = []
         for k, group in enumerate(np.split(particles, NUM_CHAINS)):
-            told(k, NUM_CHAINS)
             own = jax.random.fold_in(key, k)
             moved.append(way.run(group, own, num_last=max(density.size, FEWEST_LAST), max_stages=max_stages))
+            told(k + 1, NUM_CHAINS)
         evidence = np.logaddexp.reduce([one.log_evidence for one in moved]) - np.log(NUM_CHAINS)
         cost.seconds_compile = way.seconds_compile
         # Neighbours of a group may descend from one particle, and would look like a chain that hardly moves.

@@ -4,14 +4,18 @@ import sys
 from importlib import util
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
+from det2stoc_bayes.inference._amortized import Options
+from det2stoc_bayes.inference._cvae import Schedule
 from det2stoc_bayes.models import gaussian_linear, slcp, two_moons
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
 import compare_sbi  # noqa: E402
+import cvae_of_vectors  # noqa: E402
 
 PROBLEMS = (gaussian_linear.PROBLEM, slcp.PROBLEM, two_moons.PROBLEM)
 NUM_PRIOR = 1_000_000
@@ -89,4 +93,20 @@ def test_seeds_of_an_observation_are_no_further_evidence():
     for count in (1, 5):
         lines = [one | {"seed": k} for k in range(count)]
         told = list(compare_sbi.summary([lines[0] | {"seconds": 99.0}, *lines]))[-1]  # of a seed the last line counts
-        assert told == f"| two_moons | 1000 | 0.700 ± 0.100 | 0.500 ± 0.000 | 1 of 2 | 0.725 | {count} | 10 |"
+        assert told == f"| two_moons | 1000 | 0.700 ± 0.100 | 0.500 ± 0.000 | 1 of 2 | 0.725 | {count} | 10 |  | 0 |"
+    beside = {"problem": "two_moons", "simulations": 1000, "seed": 0, "seconds": 1.0, "det2stoc": [0.9, 0.7]}
+    assert list(compare_sbi.summary([*lines, beside]))[-1].endswith("| 5 | 10 | 0.800 ± 0.100 | 1 |")
+
+
+def test_the_cvae_beside_them_reads_a_linear_gaussian_backwards():
+    """x = z + sd noise: the posterior is normal about x / (1 + sd^2) with variance sd^2 / (1 + sd^2)."""
+    random, sd = np.random.default_rng(0), 0.5
+    z = random.standard_normal((4000, 2))
+    brief = Schedule(num_steps=1200, batch=256, learning_rate=3e-3, checks=12)
+    options = Options(full=True, dropout=0.0, alpha=1.0, width=32, decoder=brief, encoder=brief)
+    learned = cvae_of_vectors.train(z, z + sd * random.standard_normal(z.shape), jax.random.key(0), options)
+    for x in ([0.8, -0.4], [-1.0, 0.0]):
+        draws = learned.sample(jax.random.key(1), np.array(x), 4000)
+        wanted = sd / np.sqrt(1 + sd**2)
+        np.testing.assert_allclose(draws.mean(0), np.array(x) / (1 + sd**2), atol=0.25 * wanted)
+        np.testing.assert_allclose(draws.std(0), wanted, rtol=0.15)
