@@ -68,7 +68,7 @@ def known_reference(
     mean: Float[np.ndarray, " size"], covariance: Float[np.ndarray, "size size"], problem: Inferred, seed: int
 ) -> Reference:
     """A problem's posterior that is known in closed form, with draws of it."""
-    random = np.random.default_rng([seed, 1])  # no method's own numbers, whose draws would be these
+    random = np.random.default_rng([seed, 1, 1])  # no method's own numbers, whose draws would be these
     draws = random.multivariate_normal(mean, covariance, MOST_DRAWS)
     named = {name: np.asarray(values) for name, values in problem.constrained(draws).items()}
     return Reference("the closed form", draws, tuple(problem.names), (mean, covariance), named)
