@@ -169,7 +169,7 @@ def _together(tasks: Mapping[str, tuple[str, dict[str, Any]]], runs: Sequence[st
         name, how = tasks[run]
         learns = hasattr(get_method(name), "refinements")
         groups.setdefault((name, how["seed"]) if learns else ("", run), []).append(run)
-    return [tuple(group) for group in groups.values()]
+    return sorted((tuple(group) for group in groups.values()), key=len, reverse=True)  # what takes longest, first
 
 
 def _drawn(
