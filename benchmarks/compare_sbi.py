@@ -142,12 +142,13 @@ def main() -> None:
     makers = {"npe": line, "det2stoc": line_of_cvae}
     done = {(method, one["problem"], one["simulations"], one["seed"]) for one in logged(given.log) for method in one}
     for seed in range(given.seeds):
-        for method, budget, name in itertools.product(makers, given.simulations, given.problems):
-            if (method, name, budget, seed) not in done:
-                about = {"commit": revision(), "problem": name, "simulations": budget, "seed": seed}
-                found = makers[method](name, budget, seed)
-                append(given.log, about | found)
-                print(f"{method}, {name}, {budget}, seed {seed}: {np.mean(found[method]):.3f}", flush=True)
+        for budget, name in itertools.product(given.simulations, given.problems):
+            for method, make in makers.items():
+                if (method, name, budget, seed) not in done:
+                    found = make(name, budget, seed)
+                    about = {"commit": revision(), "problem": name, "simulations": budget, "seed": seed}
+                    append(given.log, about | found)
+                    print(f"{method}, {name}, {budget}, seed {seed}: {np.mean(found[method]):.3f}", flush=True)
     print(*summary(logged(given.log)), sep="\n")
 
 
