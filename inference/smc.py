@@ -31,6 +31,7 @@ from det2stoc_bayes.vector_density import AnyDensity, Inferred
 __all__ = ["fit", "temper"]
 
 NUM_CHAINS, FEWEST = 4, 10  # groups, and particles of each
+FEW_UNKNOWNS = 6  # up to which chains are short enough: of 12 all is well, of 20 R-hat is 1.4 to 2.5
 DEGREES = 5  # of freedom of the Student-t about the mode
 
 
@@ -42,13 +43,14 @@ def fit(
     target_ess: float = 0.5,
     num_moves: int = 5,
     max_stages: int = 200,
-    waste_free: bool = True,
+    waste_free: bool | None = None,
     initial: Literal["prior", "mode"] = "prior",
     progress: Progress | None = None,
 ) -> DataTree:
     """`num_samples` particles, from the prior or from a wide Student-t about the mode (cheaper, but one mode).
 
-    Each makes `num_moves` steps under the posterior for each unknown. MethodNotApplicable: too few of either.
+    Each makes `num_moves` steps under the posterior for each unknown. `waste_free` on the way: None where unknowns are
+    few, for a short chain forgets where it began in few directions alone. MethodNotApplicable: too few of any.
     """
     options = {
         "num_samples": num_samples,
@@ -66,8 +68,9 @@ def fit(
     with measured(problem) as cost:
         random = numpy_random(key)
         density, log_first, particles = _beginning(problem, random, NUM_CHAINS * each, initial)
+        kept = density.size <= FEW_UNKNOWNS if waste_free is None else waste_free
         way = Tempering(
-            log_first, density.log_density, each, target_ess=target_ess, num_moves=num_moves, waste_free=waste_free
+            log_first, density.log_density, each, target_ess=target_ess, num_moves=num_moves, waste_free=kept
         )
         told = progress or (lambda *_: None)
         moved = []

@@ -107,8 +107,23 @@ def test_groups_disagree_until_they_have_arrived(options, arrived):
     way = Tempering(log_prior, lambda z: np.reshape(narrow.logpdf(z), len(z)), 100, **options)
     first = np.random.default_rng(0).standard_normal((4, 100, 3))
     z = np.stack([way.run(group, k).particles for k, group in enumerate(first)])
+    assert (r_hat(z) < 1.05) == arrived
+
+
+@pytest.mark.parametrize(("waste_free", "arrived"), [(False, True), (True, False)])
+def test_short_chains_do_not_forget_in_many_directions(waste_free, arrived):
+    """Of 20 unknowns: measured R-hat of three keys 1.38 to 2.48 waste-free, and 1.003 where all particles move."""
+    narrow = stats.multivariate_normal(np.full(20, 0.5), 0.05**2)
+    way = Tempering(log_prior, lambda z: np.reshape(narrow.logpdf(z), len(z)), 400, waste_free=waste_free)
+    first = np.random.default_rng(0).standard_normal((4, 400, 20))
+    z = np.stack([way.run(group, k, num_last=20).particles for k, group in enumerate(first)])
+    assert (r_hat(z) < 1.05) == arrived
+
+
+def r_hat(z):
+    """Of chains of equal length (Gelman and Rubin 1992), the worst unknown's."""
     within, between = z.var(1, ddof=1).mean(0), z.mean(1).var(0, ddof=1)
-    assert (np.sqrt(1 - 1 / 100 + between / within).max() < 1.05) == arrived
+    return np.sqrt(1 - 1 / z.shape[1] + between / within).max()
 
 
 @pytest.mark.parametrize(
