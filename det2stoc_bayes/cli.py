@@ -153,8 +153,8 @@ def compare(
         page = compare_page(found, name=name, doubts=told["doubts"])
         atomic_write(out / "report.html", page)
         atomic_write(out / "comparison.json", json.dumps(told, indent=2))
-        for told_of in (*found.replaced, *told["doubts"]):
-            warnings.warn(told_of, StudyWarning, stacklevel=1)
+        for warning in (*found.replaced, *told["doubts"]):
+            warnings.warn(warning, StudyWarning, stacklevel=1)
     show_report(told if as_json else tables.compare_table(found, name), out, as_json)
 
 

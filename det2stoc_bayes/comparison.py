@@ -192,9 +192,8 @@ def _chosen(runs: Sequence[Run], rows: Sequence[Row]) -> Reference | None:
     ]
     if not passed:
         return None
-    best = max(passed, key=lambda p: p[0])[1]
+    _, best, row = max(passed, key=lambda p: p[0])
     assert best.draws is not None
-    row = next(r for run, r in zip(runs, rows, strict=True) if run is best)
     found = Reference(best.label, thinned(best.draws, _worth(row)), best.unknowns)
     held = [_held_against(run, row, found) for _, run, row in passed if run is not best]
     agreeing = tuple(r.label for r in held if r.c2st is not None and r.c2st < AGREE and _is_near(r))

@@ -140,7 +140,8 @@ def compare(
             progress("comparing methods", done, len(tasks))
     runs = [Run(run, tree, _kind(tasks[run][0])) for run, tree in trees.items() if tree is not None]
     if not runs:
-        raise MethodNotApplicable("; ".join(failed.values()))
+        told = [w if w.startswith(f"{tasks[run][0]}:") else f"{run}: {w}" for run, w in failed.items()]
+        raise MethodNotApplicable("; ".join(told))
     why = {run: failed[run] for run in tasks if run in failed}
     return compare(runs, reference, failed=why, replaced=replaced)
 

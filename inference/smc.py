@@ -93,10 +93,7 @@ def fit(
             sample_stats={
                 "tempering": (("group", "stage"), _in_rows([one.tempering for one in moved])),
                 "acceptance_rate": (("group", "move"), _in_rows([one.acceptance for one in moved])),
-                "log_evidence": (
-                    (),
-                    float(evidence),
-                ),
+                "log_evidence": ((), float(evidence)),
             },
             log_likelihood=terms,
         )
