@@ -1,7 +1,9 @@
 """Posteriors of one problem by several methods beside each other: against a reference, and what speaks for each."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Literal
 
@@ -10,11 +12,12 @@ from jaxtyping import Float
 
 from det2stoc_bayes.doubts import weights
 from det2stoc_bayes.errors import listing
+from det2stoc_bayes.executors import Here, Progress, finished
 from det2stoc_bayes.posterior import DataTree
 from det2stoc_bayes.psis import bfmi, leave_one_out, reliable, thinned
 from det2stoc_bayes.report.summary import summarize
 from det2stoc_bayes.run_statistics import autocorrelation_times, divergences, energies, predictive_p, surprise_p
-from det2stoc_bayes.two_samples import c2st, gaussian_kl, mean_errors, sd_errors, sliced_wasserstein
+from det2stoc_bayes.two_samples import distances
 from det2stoc_bayes.vector_density import Inferred
 
 MOST_R_HAT, LEAST_ESS, LEAST_TIMES = 1.01, 400, 50  # gates of an exact run: chains, draws, autocorrelation times
@@ -49,6 +52,12 @@ class Run:
         if "unconstrained_posterior" not in self.tree.children:
             return ()
         return tuple(str(n) for n in self.tree["unconstrained_posterior"].to_dataset()["unknown"].values)
+
+
+def _drawn(run: Run) -> Float[np.ndarray, "draws size"]:
+    """Draws of a method that infers psi."""
+    assert run.draws is not None
+    return run.draws
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +137,24 @@ def compare(
     reference: Reference | None = None,
     failed: Mapping[str, str] = MappingProxyType({}),
     replaced: tuple[str, ...] = (),
+    executor: Executor | None = None,
+    progress: Progress = lambda *_: None,
 ) -> Comparison:
-    """Rows of all runs; without a reference of the problem's own the best exact run that passes the gates is it."""
-    known = [_described(run) for run in runs]
+    """Rows of all runs; without a reference of the problem's own the best exact run that passes the gates is it.
+
+    `executor` holds several against it at a time (None: this process, one after the other).
+    """
+    known = {run.label: _described(run) for run in runs}
     reference = reference or _chosen(runs, known)
-    rows = [_judged(_held_against(run, row, reference), reference) for run, row in zip(runs, known, strict=True)]
+    if reference is not None:
+        held = [(run.label, _drawn(run), _worth(known[run.label])) for run in runs if _comparable(run, reference)]
+        measured = finished(executor or Here(), partial(_distances, reference), held)
+        for done, ((label, *_), found) in enumerate(measured, 1):
+            known[label] = replace(known[label], **found())
+            progress("holding runs against the reference", done, len(held))
+        if reference.label in known:
+            reference = _with_judges(reference, known)
+    rows = [_judged(known[run.label], reference) for run in runs]
     return Comparison(tuple(runs), tuple(rows), reference, failed, replaced)
 
 
@@ -185,38 +207,34 @@ def _described(run: Run) -> Row:
     )
 
 
-def _chosen(runs: Sequence[Run], rows: Sequence[Row]) -> Reference | None:
-    """The exact run that passes the gates with most effective draws, and what the others that pass say of it."""
-    passed = [
-        (r.ess or 0.0, run, r) for run, r in zip(runs, rows, strict=True) if r.kind == "exact" and not shortcomings(r)
-    ]
+def _chosen(runs: Sequence[Run], known: Mapping[str, Row]) -> Reference | None:
+    """The exact run that passes the gates with most effective draws."""
+    passed = [run for run in runs if _passes(known[run.label])]
     if not passed:
         return None
-    _, best, row = max(passed, key=lambda p: p[0])
-    assert best.draws is not None
-    found = Reference(best.label, thinned(best.draws, _worth(row)), best.unknowns)
-    held = [_held_against(run, row, found) for _, run, row in passed if run is not best]
-    agreeing = tuple(r.label for r in held if r.c2st is not None and r.c2st < AGREE and _is_near(r))
-    contradicting = tuple(r.label for r in held if r.c2st is not None and not _is_near(r))
-    return replace(found, agreeing=agreeing, contradicting=contradicting)
+    best = max(passed, key=lambda run: known[run.label].ess or 0.0)
+    return Reference(best.label, thinned(_drawn(best), _worth(known[best.label])), best.unknowns)
 
 
-def _held_against(run: Run, row: Row, reference: Reference | None) -> Row:
-    """With its distances from the reference; a run is not held against itself, nor against other unknowns."""
-    if reference is None or run.label == reference.label or run.kind == "no posterior" or not run.unknowns:
-        return row
-    if run.draws is None or run.unknowns != reference.unknowns:
-        return row
-    draws = thinned(run.draws, MOST_DRAWS)
-    return replace(
-        row,
-        # A classifier takes draws that hang together for a cluster: of them as many as they are worth.
-        c2st=c2st(thinned(run.draws, _worth(row)), reference.draws),
-        wasserstein=sliced_wasserstein(draws, reference.draws),
-        kl=None if reference.gaussian is None else gaussian_kl(run.draws, *reference.gaussian),
-        mean_error=float(np.abs(mean_errors(draws, reference.draws)).max()),
-        sd_error=float(np.abs(sd_errors(draws, reference.draws)).max()),
-    )
+def _passes(row: Row) -> bool:
+    return row.kind == "exact" and not shortcomings(row)
+
+
+def _with_judges(reference: Reference, known: Mapping[str, Row]) -> Reference:
+    """A run as the reference, with what the other exact runs that pass the gates say of it."""
+    others = [row for label, row in known.items() if label != reference.label and _passes(row)]
+    agreeing = tuple(r.label for r in others if r.c2st is not None and r.c2st < AGREE and _is_near(r))
+    contradicting = tuple(r.label for r in others if r.c2st is not None and not _is_near(r))
+    return replace(reference, agreeing=agreeing, contradicting=contradicting)
+
+
+def _comparable(run: Run, reference: Reference) -> bool:
+    """Whether a run can be held against the reference: not against itself, nor against other unknowns."""
+    return run.label != reference.label and run.kind != "no posterior" and run.unknowns == reference.unknowns
+
+
+def _distances(reference: Reference, held: tuple[str, Float[np.ndarray, "draws size"], int]) -> dict[str, float | None]:
+    return distances(held[1], reference.draws, held[2], MOST_DRAWS, reference.gaussian)
 
 
 def _worth(row: Row) -> int:

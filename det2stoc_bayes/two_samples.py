@@ -12,6 +12,28 @@ WIDTH, MOST_WIDTH = 10, 100  # hidden units an unknown, and in all, in each of t
 MOST_EPOCHS = 10_000
 
 
+def distances(
+    draws: Draws,
+    reference: Draws,
+    worth: int,
+    most: int,
+    gaussian: tuple[Float[np.ndarray, " size"], Float[np.ndarray, "size size"]] | None = None,
+) -> dict[str, float | None]:
+    """All of the below: of `most` draws, of C2ST no more than they are `worth`; KL from a `gaussian` reference.
+
+    Errors of means and sds are the largest.
+    """
+    some = thinned(draws, most)
+    return {
+        # A classifier takes draws that hang together for a cluster.
+        "c2st": c2st(thinned(draws, min(worth, most)), reference),
+        "wasserstein": sliced_wasserstein(some, reference),
+        "kl": None if gaussian is None else gaussian_kl(draws, *gaussian),
+        "mean_error": float(np.abs(mean_errors(some, reference)).max()),
+        "sd_error": float(np.abs(sd_errors(some, reference)).max()),
+    }
+
+
 def c2st(draws: Draws, reference: Draws, *, seed: int = 1, num_folds: int = 5) -> float:
     """Accuracy of a classifier that tells the two sets apart, cross-validated: 0.5 where none can.
 

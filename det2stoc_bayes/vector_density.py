@@ -20,7 +20,7 @@ MOST_STEPS = 100  # of Newton's method
 ENOUGH = 1e-6  # nats that another one may gain
 FLATTEST = 0.1  # of the prior's curvature: the density is taken for no flatter than that along any axis
 FRACTIONS = np.array([1.0, 0.5, 0.2, 0.05, 0.01, 0.002, 0.0])
-MOST_POINTS = 2_000  # at a time
+MOST_POINTS = 250  # at a time: their arrays stay in a cache
 
 
 @dataclass(frozen=True, eq=False)

@@ -123,7 +123,7 @@ def compare(
     if missing and not isinstance(source, Study):
         source.problem.prepare()  # once, and not by every task
     together = _together(tasks, missing)
-    with workers(jobs, cluster, progress, most=len(together)) as executor:
+    with workers(jobs, cluster, progress, most=len(tasks)) as executor:
         here = isinstance(executor, Here)
         draw = partial(_drawn, source, tasks, 0 if here else 1, progress if here else _silent)
         for some, result in finished(executor, draw, together):
@@ -138,12 +138,12 @@ def compare(
                     trees[run] = tree
             done += len(some)
             progress("comparing methods", done, len(tasks))
-    runs = [Run(run, tree, _kind(tasks[run][0])) for run, tree in trees.items() if tree is not None]
-    if not runs:
-        told = [w if w.startswith(f"{tasks[run][0]}:") else f"{run}: {w}" for run, w in failed.items()]
-        raise MethodNotApplicable("; ".join(told))
-    why = {run: failed[run] for run in tasks if run in failed}
-    return compare(runs, reference, failed=why, replaced=replaced)
+        runs = [Run(run, tree, _kind(tasks[run][0])) for run, tree in trees.items() if tree is not None]
+        if not runs:
+            told = [w if w.startswith(f"{tasks[run][0]}:") else f"{run}: {w}" for run, w in failed.items()]
+            raise MethodNotApplicable("; ".join(told))
+        why = {run: failed[run] for run in tasks if run in failed}
+        return compare(runs, reference, failed=why, replaced=replaced, executor=executor, progress=progress)
 
 
 def _known(name: str, out: Path, seed: int, engine: str) -> "tuple[Study | Posed, Reference | None]":
