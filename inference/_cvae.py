@@ -97,13 +97,22 @@ class HybridELBO(Trace_ELBO):
 
 @dataclass(frozen=True)
 class Schedule:
-    """Adam with a cosine learning rate; training ends when the validation loss has not improved `patience` times."""
+    """Adam with a cosine learning rate; training ends when the validation loss has not improved for `patience` checks.
+
+    They are `checks` in all; of few rows there are more between, every `epochs`, for those are soon learned by heart.
+    """
 
     num_steps: int
     learning_rate: float = 1e-3
     batch: int = 512
     checks: int = 40
     patience: int = 8
+    epochs: float = 10.0
+
+    def steps_between_checks(self, num_rows: int) -> int:
+        """One at least."""
+        often = self.epochs * num_rows / min(self.batch, num_rows)
+        return max(int(min(self.num_steps // self.checks, often)), 1)
 
 
 def optimize(
@@ -120,9 +129,12 @@ def optimize(
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> tuple[dict[str, Any], list[tuple[int, float, float]]]:
     """The parameters with the least validation loss, and (step, training loss, validation loss) a transition."""
-    chunk = max(schedule.num_steps // schedule.checks, 1)
-    steps, count = chunk * schedule.checks, data[0].shape[0]
+    count = data[0].shape[0]
     size = min(schedule.batch, count)
+    chunk = schedule.steps_between_checks(count)
+    checks = -(-schedule.num_steps // chunk)
+    steps = checks * chunk
+    patience = schedule.patience * schedule.num_steps / (schedule.checks * chunk)
     optimizer = optax.chain(
         optax.clip_by_global_norm(10.0 * size), optax.adam(optax.cosine_decay_schedule(schedule.learning_rate, steps))
     )
@@ -144,18 +156,18 @@ def optimize(
         return elbo.loss(check, svi.get_params(state), model, guide, *validation) / validation[0].shape[0]
 
     best, params, since, history = jnp.inf, svi.get_params(state), 0, []
-    for i in range(schedule.checks):
+    for i in range(checks):
         key, now = jax.random.split(key)
         state, loss = advance(state, now)
         value = float(judge(state))
         history.append(((i + 1) * chunk, float(loss), value))
         keep((i + 1) * chunk, svi.get_params(state))
-        progress(i + 1, schedule.checks)
+        progress(i + 1, checks)
         if value < best:
             best, params, since = value, svi.get_params(state), 0
         else:
             since += 1
-            if since >= schedule.patience:
+            if since >= patience:
                 break
     if not np.isfinite(best):
         raise SamplingFailed(

@@ -92,7 +92,7 @@ def train(seed: int, settings: Settings, progress: Callable[[int, int], None] = 
             snapshots[step] = first.with_params(params)
 
     held, checks = len(x) // 20, settings.num_steps // SHOWN[1]
-    schedule = Schedule(settings.num_steps, batch=1000, checks=checks, patience=checks)
+    schedule = Schedule(settings.num_steps, batch=1000, checks=checks, patience=checks, epochs=np.inf)
     params, _ = optimize(
         HybridELBO(1.0), first.model, first.guide, (x[held:], y[held:]), (x[:held], y[:held]), keys[2], schedule,
         keep=keep, progress=progress,
