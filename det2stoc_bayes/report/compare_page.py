@@ -19,10 +19,12 @@ BADGES = {
     "trust": "no_mismatch", "trust after refinement": "inconclusive", "do not trust": "mismatch",
     "no posterior": "inconclusive",
 }  # fmt: skip
-COLUMNS = (
-    "draws", "R-hat", "ESS", "ESS / s", "divergences", "BFMI", "k-hat", "C2ST", "Wasserstein [sd]", "KL [nat]",
-    "mean [sd]", "sd [%]", "predictive p", "surprise p", "LOO [nat]", "run [s]", "simulations",
-)  # fmt: skip
+TABLES = {
+    "Draws": ("draws", "R-hat", "ESS", "divergences", "BFMI", "k-hat"),
+    "Distance from the reference": ("C2ST", "Wasserstein [sd]", "KL [nat]", "mean [sd]", "sd [%]"),
+    "Recordings under the posterior": ("predictive p", "surprise p", "LOO [nat]"),
+    "Cost": ("run [s]", "ESS / s", "compile [s]", "simulations", "gradients"),
+}
 MOST_PARAMETERS = 12  # in the forest
 
 
@@ -46,9 +48,11 @@ def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) ->
         doubts=doubts,
         reference=held,
         verdicts=[_verdict(row, number) for number, row in enumerate(found.rows)],
-        columns=COLUMNS,
         failed=found.failed,
-        rows=[{"label": row.label, "values": cells(row)} for row in found.rows],
+        tables=[
+            (title, columns, [(row.label, cells(row)[title]) for row in found.rows])
+            for title, columns in TABLES.items()
+        ],
         forests=[_drawn(n, figures.forest_figure(shown, n)) for n in names[:MOST_PARAMETERS]],
         costs=[
             _drawn(title, figures.cost_figure(found.rows, cost, title))
@@ -56,7 +60,6 @@ def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) ->
             if any(getattr(row, cost) for row in found.rows)
         ],
         runs=drawn,
-        efforts=[(row.label, _number(row.seconds_compile), str(row.gradients)) for row in found.rows],
     )  # fmt: skip
 
 
@@ -70,23 +73,24 @@ def _posterior(run: Run) -> Posterior:
     return {label: draws for _, label, draws in scalars(run.tree)}
 
 
-def cells(row: Row) -> list[str]:
-    """A row's numbers as text, in the order of COLUMNS."""
+def cells(row: Row) -> dict[str, list[str]]:
+    """A row's numbers as text, by the titles of TABLES and in the order of their columns."""
     percent = None if row.sd_error is None else 100 * row.sd_error
     loo = numbers.MISSING if row.elpd is None else numbers.number(row.elpd, 5)
     if row.elpd is not None and row.elpd_error is not None:
         loo = numbers.plus_minus(row.elpd, row.elpd_error)
     if row.elpd_k_hat is not None and row.elpd_k_hat > reliable(max(row.num_draws, 2)):
         loo += f" (k-hat {numbers.number(row.elpd_k_hat, 2)}: unreliable)"
-    chains = (row.r_hat, row.ess, row.ess_per_second, row.divergences, row.bfmi, row.k_hat)
-    distances = (row.c2st, row.wasserstein, row.kl, row.mean_error, percent)
-    return [
-        str(row.num_draws or numbers.MISSING),
-        *(_number(value) for value in (*chains, *distances, row.predictive_p, row.surprise_p)),
-        loo,
-        _number(row.seconds_run),
-        str(row.simulations),
-    ]
+    drawn = map(_number, (row.r_hat, row.ess, row.divergences, row.bfmi, row.k_hat))
+    distances = map(_number, (row.c2st, row.wasserstein, row.kl, row.mean_error, percent))
+    seconds = map(_number, (row.seconds_run, row.ess_per_second, row.seconds_compile))
+    each = (
+        [str(row.num_draws or numbers.MISSING), *drawn],
+        list(distances),
+        [_number(row.predictive_p), _number(row.surprise_p), loo],
+        [*seconds, str(row.simulations), str(row.gradients)],
+    )
+    return dict(zip(TABLES, each, strict=True))
 
 
 def _number(value: float | None) -> str:
