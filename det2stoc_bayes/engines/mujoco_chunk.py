@@ -77,9 +77,9 @@ class Chunk:
         frozen = self._frozen(series["qvel"])
         bends = self._bends(series, commands, stepper)
 
-        def between(source, index, rows, at):
-            straight = _interpolate(series[source][rows, :, index, None], at)[..., 0]
-            return straight + bends[source][rows, :, index] if bends else straight
+        def between(source, indices, _, at):
+            straight = _interpolate(series[source][:, :, indices], at)
+            return straight + bends[source][:, :, indices] if bends else straight
 
         columns = self.readings.of(between, np.arange(self.count), slice(None))
         # A diverged state is no prediction; the batch freezes such a simulation at its last one.

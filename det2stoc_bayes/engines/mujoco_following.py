@@ -1,5 +1,6 @@
 """Simulations in C that an observer leads along recorded samples."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -102,7 +103,8 @@ class Follower:
             states[n][rows, j] = value
         if not gain.any():
             return
-        moved, push = corrected(self.model, self.live["qpos"][rows], gain, error)
+        now = self.live["qpos"][rows]
+        moved, push = (place, push) if np.array_equal(now, there["qpos"]) else corrected(self.model, now, gain, error)
         self.live["qpos"][rows] = moved
         self.live["qvel"][rows] += push
         if self.stepper is not None:
@@ -110,11 +112,15 @@ class Follower:
         for n in ("qpos", "qvel"):
             self.led[n][rows, self.done] = self.live[n][rows]
 
-    def _read(self, name: str, index: int, rows: np.ndarray, at: Float[np.ndarray, "rows one"]) -> np.ndarray:
-        return self._between(name, rows, at[:, 0])[:, [index]]
+    def _read(
+        self, name: str, indices: Sequence[int], rows: np.ndarray, at: Float[np.ndarray, "rows one"]
+    ) -> np.ndarray:
+        return self._between(name, rows, at[:, 0])[:, None, indices]
 
     def _between(self, name: str, rows: np.ndarray, at: Float[np.ndarray, " rows"]) -> np.ndarray:
         """The state at a time in steps, as foretold from what was before."""
+        if np.abs(at - self.done).max() <= TIME_SLACK:  # as most samples are
+            return self.ahead[name][rows, self.done]
         low = np.clip(np.ceil(at - TIME_SLACK).astype(int) - 1, 0, max(self.done - 1, 0))
         share = (at - low)[:, None]
         high = np.minimum(low + 1, self.done)

@@ -9,8 +9,8 @@ from det2stoc_bayes.engines.base import EffectRows
 from det2stoc_bayes.engines.layout import ColumnAddress
 from det2stoc_bayes.segments import Segments
 
-# The number `index` of an array, (source, index, simulations, steps from the start (rows, samples)) -> (rows, samples)
-type Between = Callable[[str, int, np.ndarray, np.ndarray], np.ndarray]
+# Some numbers of an array, (source, indices, simulations, steps from the start (rows, samples)) -> (rows, samples, _)
+type Between = Callable[[str, Sequence[int], np.ndarray, np.ndarray], np.ndarray]
 
 
 class Readings:
@@ -25,8 +25,16 @@ class Readings:
         dt: float,
     ):
         self.segments, self.which, self.dt = segments, which, dt
-        self.columns = list(zip(segments.columns, addresses, strict=True))
-        self.effects = [e for e in effects if e.placed.element.kind == "sensor"]
+        self.addresses = addresses
+        sensors = [e for e in effects if e.placed.element.kind == "sensor"]
+        # Columns by the array that they are read from, and those of sensors with effects one by one.
+        self._plain: dict[str, list[tuple[int, int]]] = {}
+        self._sensed: list[tuple[int, ColumnAddress, list[EffectRows]]] = []
+        for j, (column, address) in enumerate(zip(segments.columns, addresses, strict=True)):
+            if mine := [e for e in sensors if e.placed.element.column in (column, "time")]:
+                self._sensed.append((j, address, mine))
+            else:
+                self._plain.setdefault(address.source, []).append((j, address.index))
 
     def of(
         self, between: Between, rows: Int[np.ndarray, " rows"], samples: slice
@@ -34,14 +42,17 @@ class Readings:
         """Some samples of some simulations, from states that `between` tells."""
         stamps = self.segments.time[self.which[rows], samples]
         begin = self.segments.time[self.which[rows], 0]
-        out = np.empty((*stamps.shape, len(self.columns)))
-        for j, (column, address) in enumerate(self.columns):
-            mine = [self._inside(e, rows) for e in self.effects if e.placed.element.column in (column, "time")]
-            times = np.array(stamps)
+        out = np.empty((*stamps.shape, len(self.addresses)))
+        at = (stamps - begin[:, None]) / self.dt
+        for source, here in self._plain.items():
+            out[:, :, [j for j, _ in here]] = between(source, [index for _, index in here], rows, at)
+        for j, address, effects in self._sensed:
+            mine, times = [self._inside(e, rows) for e in effects], np.array(stamps)
             for effect, there, parameters in mine:
                 if effect.uses("sample_time"):
                     times[there] = effect.sample_time(parameters, times[there], np)
-            out[:, :, j] = between(address.source, address.index, rows, (times - begin[:, None]) / self.dt)
+            at = (times - begin[:, None]) / self.dt
+            out[:, :, j] = between(address.source, [address.index], rows, at)[..., 0]
             for effect, there, parameters in mine:
                 if effect.uses("reading"):
                     out[there, :, j] = effect.reading(parameters, stamps[there], out[there, :, j], np)
