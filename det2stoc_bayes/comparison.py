@@ -11,23 +11,20 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.doubts import weights
-from det2stoc_bayes.errors import listing
 from det2stoc_bayes.executors import Here, Progress, finished
 from det2stoc_bayes.posterior import DataTree
-from det2stoc_bayes.psis import bfmi, leave_one_out, reliable, thinned
+from det2stoc_bayes.psis import bfmi, leave_one_out, thinned
 from det2stoc_bayes.report.summary import summarize
 from det2stoc_bayes.run_statistics import autocorrelation_times, divergences, energies, predictive_p, surprise_p
-from det2stoc_bayes.two_samples import distances
+from det2stoc_bayes.two_samples import distances, gaussian_kl
 from det2stoc_bayes.vector_density import Inferred
+from det2stoc_bayes.verdicts import Verdict, is_near, shortcomings, verdict_of
 
-MOST_R_HAT, LEAST_ESS, LEAST_TIMES = 1.01, 400, 50  # gates of an exact run: chains, draws, autocorrelation times
-LEAST_BFMI = 0.3  # Betancourt 2016
 AGREE = 0.55  # C2ST of two samplers of the same posterior
-NEAR = (0.6, 0.2, 0.2)  # C2ST, error of means in sds, relative error of sds: an approximation that may stand for it
 MOST_DRAWS, LEAST_WORTH = 4000, 10  # that distances are taken from
+HOLDING = "holding runs against the reference"
 
 Kind = Literal["exact", "approximate", "no posterior"]
-Verdict = Literal["trust", "trust after refinement", "do not trust", "no posterior"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +51,7 @@ class Run:
         return tuple(str(n) for n in self.tree["unconstrained_posterior"].to_dataset()["unknown"].values)
 
 
-def _drawn(run: Run) -> Float[np.ndarray, "draws size"]:
+def _draws_of(run: Run) -> Float[np.ndarray, "draws size"]:
     """Draws of a method that infers psi."""
     assert run.draws is not None
     return run.draws
@@ -145,34 +142,23 @@ def compare(
     `executor` holds several against it at a time (None: this process, one after the other).
     """
     known = {run.label: _described(run) for run in runs}
+    assert len(known) == len(runs), "labels are unique"
+    chosen = reference is None
     reference = reference or _chosen(runs, known)
-    if reference is not None:
-        held = [(run.label, _drawn(run), _worth(known[run.label])) for run in runs if _comparable(run, reference)]
-        measured = finished(executor or Here(), partial(_distances, reference), held)
+    held = [] if reference is None else [run for run in runs if _comparable(run, reference)]
+    if reference is not None and held:
+        progress(HOLDING, 0, len(held))
+        each = [(r.label, thinned(_draws_of(r), MOST_DRAWS), _worth(known[r.label])) for r in held]
+        measured = finished(executor or Here(), partial(_distances, reference.draws), each)
         for done, ((label, *_), found) in enumerate(measured, 1):
             known[label] = replace(known[label], **found())
-            progress("holding runs against the reference", done, len(held))
-        if reference.label in known:
-            reference = _with_judges(reference, known)
+            progress(HOLDING, done, len(held))
+        if reference.gaussian is not None:
+            kl = {r.label: gaussian_kl(_draws_of(r), *reference.gaussian) for r in held}
+            known |= {label: replace(known[label], kl=value) for label, value in kl.items()}
+        reference = _with_judges(reference, known) if chosen else reference
     rows = [_judged(known[run.label], reference) for run in runs]
     return Comparison(tuple(runs), tuple(rows), reference, failed, replaced)
-
-
-def shortcomings(row: Row) -> list[str]:
-    """The gates that an exact run does not pass, each with what was found and what is allowed."""
-    found = []
-    if row.r_hat is not None and not row.r_hat < MOST_R_HAT:
-        found.append(f"R-hat is {row.r_hat:.3g} (allowed: below {MOST_R_HAT})")
-    if row.autocorrelation_times is not None and not row.autocorrelation_times > LEAST_TIMES:
-        found.append(f"{row.autocorrelation_times:.3g} autocorrelation times (allowed: more than {LEAST_TIMES})")
-    if row.ess is None or row.ess < LEAST_ESS:
-        said = "no effective draws" if row.ess is None else f"{row.ess:.0f} effective draws"
-        found.append(f"{said} (allowed: at least {LEAST_ESS})")
-    if row.bfmi is not None and not row.bfmi > LEAST_BFMI:
-        found.append(f"BFMI is {row.bfmi:.2g} (allowed: above {LEAST_BFMI})")
-    if row.divergences:
-        found.append(f"{row.divergences} divergences (allowed: none)")
-    return found
 
 
 def _described(run: Run) -> Row:
@@ -213,7 +199,7 @@ def _chosen(runs: Sequence[Run], known: Mapping[str, Row]) -> Reference | None:
     if not passed:
         return None
     best = max(passed, key=lambda run: known[run.label].ess or 0.0)
-    return Reference(best.label, thinned(_drawn(best), _worth(known[best.label])), best.unknowns)
+    return Reference(best.label, thinned(_draws_of(best), _worth(known[best.label])), best.unknowns)
 
 
 def _passes(row: Row) -> bool:
@@ -223,8 +209,8 @@ def _passes(row: Row) -> bool:
 def _with_judges(reference: Reference, known: Mapping[str, Row]) -> Reference:
     """A run as the reference, with what the other exact runs that pass the gates say of it."""
     others = [row for label, row in known.items() if label != reference.label and _passes(row)]
-    agreeing = tuple(r.label for r in others if r.c2st is not None and r.c2st < AGREE and _is_near(r))
-    contradicting = tuple(r.label for r in others if r.c2st is not None and not _is_near(r))
+    agreeing = tuple(r.label for r in others if r.c2st is not None and r.c2st < AGREE and is_near(r))
+    contradicting = tuple(r.label for r in others if r.c2st is not None and not is_near(r))
     return replace(reference, agreeing=agreeing, contradicting=contradicting)
 
 
@@ -233,8 +219,8 @@ def _comparable(run: Run, reference: Reference) -> bool:
     return run.label != reference.label and run.kind != "no posterior" and run.unknowns == reference.unknowns
 
 
-def _distances(reference: Reference, held: tuple[str, Float[np.ndarray, "draws size"], int]) -> dict[str, float | None]:
-    return distances(held[1], reference.draws, held[2], MOST_DRAWS, reference.gaussian)
+def _distances(reference: np.ndarray, held: tuple[str, Float[np.ndarray, "draws size"], int]) -> dict[str, float]:
+    return distances(held[1], reference, held[2])
 
 
 def _worth(row: Row) -> int:
@@ -242,59 +228,6 @@ def _worth(row: Row) -> int:
     return min(MOST_DRAWS, row.num_draws if row.ess is None else max(int(row.ess), LEAST_WORTH))
 
 
-def _is_near(row: Row) -> bool:
-    """Whether a run's draws may stand for the reference's."""
-    found = (row.c2st, row.mean_error, row.sd_error)
-    return all(f is not None and f <= most for f, most in zip(found, NEAR, strict=True))
-
-
 def _judged(row: Row, reference: Reference | None) -> Row:
-    if row.kind == "no posterior":
-        return replace(row, why="what it seeks is another quantity than the posterior of psi")
-    verdict, why = _exact_verdict(row, reference) if row.kind == "exact" else _verdict(row, reference)
+    verdict, why = verdict_of(row, reference)
     return replace(row, verdict=verdict, why=why)
-
-
-def _exact_verdict(row: Row, reference: Reference | None) -> tuple[Verdict, str]:
-    failed = shortcomings(row)
-    if failed:
-        return "do not trust", "; ".join(failed)
-    if reference is None:
-        return "trust", "it passes all gates"
-    if row.label == reference.label:
-        against, agreeing = reference.contradicting, reference.agreeing
-        if against:
-            return "do not trust", f"it passes all gates, but {listing(against)} that also passes contradicts it"
-        return "trust", "it passes all gates" + (f", and agrees with {listing(agreeing)}" if agreeing else "")
-    if row.c2st is None:
-        return "trust", f"it passes all gates; its unknowns are others than those of {reference.label}"
-    said = f"{_distance(row)} from {reference.label}"
-    return (
-        ("trust", f"it passes all gates: {said}")
-        if _is_near(row)
-        else ("do not trust", f"it passes all gates, but {said}")
-    )
-
-
-def _verdict(row: Row, reference: Reference | None) -> tuple[Verdict, str]:
-    """Of an approximation, by the reference where there is one, else by its weights."""
-    weighable = row.k_hat is not None and row.k_hat < reliable(max(row.num_weighed, 2))
-    told = "" if row.k_hat is None else f"k-hat of its weights is {row.k_hat:.2g}"
-    if (row.ess or 0.0) < LEAST_ESS:
-        return "do not trust", f"{row.ess or 0.0:.0f} effective draws (allowed: at least {LEAST_ESS})"
-    if reference is not None and row.c2st is not None and not reference.contradicting:
-        said = f"{_distance(row)} from {reference.label}"
-        if _is_near(row):
-            return "trust", said
-        if weighable and not row.refined:
-            return "trust after refinement", f"{said}, but {told}: importance weights can correct it"
-        return "do not trust", said
-    if weighable:
-        return ("trust", told) if row.refined else ("trust after refinement", told)
-    return "do not trust", told or "there is nothing exact to hold it against, and it has no weights"
-
-
-def _distance(row: Row) -> str:
-    return (
-        f"C2ST {row.c2st:.2f}, means within {row.mean_error:.2g} sd and sds within {100 * (row.sd_error or 0.0):.2g} %"
-    )

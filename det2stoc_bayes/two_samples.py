@@ -12,25 +12,13 @@ WIDTH, MOST_WIDTH = 10, 100  # hidden units an unknown, and in all, in each of t
 MOST_EPOCHS = 10_000
 
 
-def distances(
-    draws: Draws,
-    reference: Draws,
-    worth: int,
-    most: int,
-    gaussian: tuple[Float[np.ndarray, " size"], Float[np.ndarray, "size size"]] | None = None,
-) -> dict[str, float | None]:
-    """All of the below: of `most` draws, of C2ST no more than they are `worth`; KL from a `gaussian` reference.
-
-    Errors of means and sds are the largest.
-    """
-    some = thinned(draws, most)
+def distances(draws: Draws, reference: Draws, worth: int) -> dict[str, float]:
+    """The distances below by name, of errors the largest; C2ST of no more draws than they are `worth`."""
     return {
-        # A classifier takes draws that hang together for a cluster.
-        "c2st": c2st(thinned(draws, min(worth, most)), reference),
-        "wasserstein": sliced_wasserstein(some, reference),
-        "kl": None if gaussian is None else gaussian_kl(draws, *gaussian),
-        "mean_error": float(np.abs(mean_errors(some, reference)).max()),
-        "sd_error": float(np.abs(sd_errors(some, reference)).max()),
+        "c2st": c2st(thinned(draws, worth), reference),  # it takes draws that hang together for a cluster
+        "wasserstein": sliced_wasserstein(draws, reference),
+        "mean_error": float(np.abs(mean_errors(draws, reference)).max()),
+        "sd_error": float(np.abs(sd_errors(draws, reference)).max()),
     }
 
 

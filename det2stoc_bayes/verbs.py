@@ -124,9 +124,10 @@ def compare(
         source.problem.prepare()  # once, and not by every task
     together = _together(tasks, missing)
     with workers(jobs, cluster, progress, most=len(tasks)) as executor:
-        here = isinstance(executor, Here)
+        drawing = Here() if len(together) == 1 and cluster is None else executor  # by all cores, with its own progress
+        here = isinstance(drawing, Here)
         draw = partial(_drawn, source, tasks, 0 if here else 1, progress if here else _silent)
-        for some, result in finished(executor, draw, together):
+        for some, result in finished(drawing, draw, together):
             try:
                 found = result()
             except (MethodNotApplicable, SamplingFailed, SimulationDiverged) as error:

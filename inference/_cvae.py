@@ -97,9 +97,10 @@ class HybridELBO(Trace_ELBO):
 
 @dataclass(frozen=True)
 class Schedule:
-    """Adam with a cosine learning rate; training ends when the validation loss has not improved for `patience` checks.
+    """Adam with a cosine learning rate, the validation loss being looked at `checks` times.
 
-    They are `checks` in all; of few rows there are more between, every `epochs`, for those are soon learned by heart.
+    Training ends when it has not improved for `patience / checks` of all steps. Few rows are soon learned by heart: of
+    them it is looked at more often, every so many `epochs`.
     """
 
     num_steps: int
@@ -132,9 +133,9 @@ def optimize(
     count = data[0].shape[0]
     size = min(schedule.batch, count)
     chunk = schedule.steps_between_checks(count)
-    checks = -(-schedule.num_steps // chunk)
+    checks = max(schedule.num_steps // chunk, 1)
     steps = checks * chunk
-    patience = schedule.patience * schedule.num_steps / (schedule.checks * chunk)
+    patience = max(round(schedule.patience * checks / schedule.checks), 1)
     optimizer = optax.chain(
         optax.clip_by_global_norm(10.0 * size), optax.adam(optax.cosine_decay_schedule(schedule.learning_rate, steps))
     )

@@ -33,7 +33,7 @@ __all__ = ["fit", "temper"]
 
 NUM_CHAINS, FEWEST = 4, 10  # groups, and particles of each
 FEW_UNKNOWNS = 6  # up to which chains are short enough: of 12 all is well, of 20 R-hat is 1.4 to 2.5
-FEWEST_MOVES, MOVES_AN_UNKNOWN = 5, 0.3  # of 36 unknowns 5 moves leave .22 sd and 29 % to emcee, 10 .05 sd and 3 %
+FEWEST_MOVES, MOVES_AN_UNKNOWN = 5, 0.3  # of 36 unknowns 5 are .22 sd and 29 % off, 10 .05 sd and 3 to 7 %
 DEGREES = 5  # of freedom of the Student-t about the mode
 
 
@@ -51,9 +51,9 @@ def fit(
 ) -> DataTree:
     """`num_samples` particles, from the prior or from a wide Student-t about the mode (cheaper, but one mode).
 
-    Each makes `num_moves` steps a stage, and as many stages under the posterior as there are unknowns; None: the more,
-    the more unknowns. `waste_free` on the way: None where unknowns are few, for a short chain forgets where it began in
-    few directions alone. MethodNotApplicable: too few of any.
+    Each makes `num_moves` steps a stage (None: the more, the more unknowns), and as many stages under the posterior as
+    there are unknowns. `waste_free` (None: where unknowns are few) chains make their own number on the way; short ones
+    forget where they began in few directions alone. MethodNotApplicable: too few of any.
     """
     options = {
         "num_samples": num_samples,
@@ -72,7 +72,8 @@ def fit(
         random = numpy_random(key)
         density, log_first, particles = _beginning(problem, random, NUM_CHAINS * each, initial)
         kept = density.size <= FEW_UNKNOWNS if waste_free is None else waste_free
-        moves = num_moves or max(FEWEST_MOVES, math.ceil(MOVES_AN_UNKNOWN * density.size))
+        moves = num_moves or moves_for(density.size)
+        options |= {"num_moves": moves, "waste_free": kept}
         way = Tempering(log_first, density.log_density, each, target_ess=target_ess, num_moves=moves, waste_free=kept)
         told = progress or (lambda *_: None)
         moved = []
@@ -99,6 +100,11 @@ def fit(
             },
             log_likelihood=terms,
         )
+
+
+def moves_for(size: int) -> int:
+    """Steps a stage that so many unknowns take."""
+    return max(FEWEST_MOVES, math.ceil(MOVES_AN_UNKNOWN * size))
 
 
 def _in_rows(rows: Sequence[Sequence[float]]) -> Float[np.ndarray, "rows longest"]:

@@ -1,5 +1,6 @@
 """Work that fans out: here, in spawned processes, on a Dask cluster on loopback one of whose workers is killed."""
 
+import importlib
 import json
 import os
 import re
@@ -96,13 +97,31 @@ def test_there_are_no_more_processes_than_tasks():
         assert executor._max_workers == 2
 
 
-def test_processes_of_compare_simulate_by_one_thread(tmp_path, monkeypatch):
-    study, seen = load_study(linear_gaussian.write_study(tmp_path / "slides", (0.3, -0.1), seed=1)), []
-    monkeypatch.setattr("det2stoc_bayes.executors.finished", lambda executor, draw, _: seen.append(draw.args[2]) or ())
-    for jobs in (2, 1):
+@pytest.fixture
+def threads(tmp_path, monkeypatch):
+    """Simulation threads that `compare` of so many jobs grants these methods, none of which is drawn."""
+    study = load_study(linear_gaussian.write_study(tmp_path / "slides", (0.3, -0.1), seed=1))
+    importlib.import_module("det2stoc_bayes.comparison")  # whose own `finished` stays
+
+    def granted(methods, jobs):
+        seen = []
+        monkeypatch.setattr(executors, "finished", lambda executor, draw, _: seen.append(draw.args[2]) or ())
         with pytest.raises(Det2StocError):
-            verbs.compare(study, ["laplace", "prior"], tmp_path / "out", jobs=jobs)
-    assert seen == [1, 0]
+            verbs.compare(study, methods, tmp_path / "out", jobs=jobs)
+        return seen
+
+    return granted
+
+
+def test_processes_of_compare_simulate_by_one_thread(threads):
+    assert threads(["laplace", "prior"], 2) == [1]
+    assert threads(["laplace", "prior"], 1) == [0]
+
+
+def test_what_is_drawn_alone_has_all_cores(threads):
+    """A single run, or several by the same learning; other processes measure distances."""
+    assert threads(["laplace"], 2) == [0]
+    assert threads(["npe", "npe+psis"], 2) == [0]
 
 
 @pytest.fixture
@@ -212,10 +231,13 @@ def test_a_cluster_with_a_worker_killed_in_the_middle_finds_the_same(cluster, tm
 
 
 def test_methods_and_seeds_are_compared_on_a_cluster_as_here(cluster, tmp_path):
-    study = load_study(linear_gaussian.write_study(tmp_path / "slides", (0.3, -0.1), seed=1))
+    """Its posterior is known: distances from that are measured there, too."""
     options = {"num_samples": 200, "num_seeds": 2}
-    there = verbs.compare(study, ["laplace", "prior"], tmp_path / "there", cluster=cluster.address, **options)
-    here = verbs.compare(study, ["laplace", "prior"], tmp_path / "here", jobs=1, **options)
+    compare = partial(verbs.compare, "linear_gaussian", ["laplace", "prior"], **options)
+    there = compare(tmp_path / "there", cluster=cluster.address)
+    here, pool = compare(tmp_path / "here", jobs=1), compare(tmp_path / "here", jobs=2)
+    distances = [[(r.c2st, r.wasserstein, r.kl, r.mean_error, r.sd_error) for r in x.rows] for x in (there, here, pool)]
+    assert distances[0] == distances[1] == distances[2] and None not in distances[0][0]
     assert [row.label for row in there.rows] == ["laplace", "laplace, seed 1", "prior", "prior, seed 1"]
     for one, other in zip(there.runs, here.runs, strict=True):
         for group in ("posterior", "sample_stats", "log_likelihood"):

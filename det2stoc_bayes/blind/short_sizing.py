@@ -20,8 +20,8 @@ STRETCH, APART = 20, 20  # samples, and from one stretch to the next
 LEAST, MOST = 0.25, 12.0  # RMS in noise sds, beside psi and beginnings, of stretches that an effect must have
 WORST = 30.0  # noise sds at which a difference is cut off: contact that is made at another time
 NEAR = 1.02  # of each psi: what small changes of it do
-POPULATION, GENERATIONS = 8, 8  # that look for the psi which hides most
-FAR, SEED = 0.15, 3  # log factors of psi in which these begin
+POPULATION, SEED = 8, 3
+SEARCHES = ((0.15, 16), (0.02, 8))  # log factors of psi in which these begin, and generations: far, then near the best
 SHIFT = 1e-4, 1e-3  # m or rad, and a second: by which a beginning is moved
 SIZES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15)  # of the largest
 
@@ -111,15 +111,19 @@ def _beside_psi(changes: Sequence[_Change], psi: dict[str, float]) -> float:
         return float(np.sqrt(np.mean((here - moved @ np.linalg.lstsq(moved, here, rcond=1e-8)[0]) ** 2)))
 
     size = max(len(psi), 2)  # of one dimension CMA-ES knows nothing: another stands idle
-    search = CMA(mean=np.zeros(size), sigma=FAR, seed=SEED, population_size=POPULATION)
     least, raw, best = near(psi), np.inf, psi
-    for _ in range(GENERATIONS if least >= LEAST else 0):
-        asked = [search.ask() for _ in range(POPULATION)]
-        tried = [{n: float(v * np.exp(f)) for (n, v), f in zip(psi.items(), x, strict=False)} for x in asked]
-        found = [float(np.nan_to_num(np.mean(left(there) ** 2), nan=WORST**2)) for there in tried]
-        search.tell(list(zip(asked, found, strict=True)))
-        if min(found) < raw:
-            raw, best = min(found), tried[int(np.argmin(found))]
+    for sigma, generations in SEARCHES if least >= LEAST else ():
+        search = CMA(mean=np.zeros(size), sigma=sigma, seed=SEED, population_size=POPULATION)
+        about = best
+        for _ in range(generations):
+            asked = [search.ask() for _ in range(POPULATION)]
+            tried = [{n: float(v * np.exp(f)) for (n, v), f in zip(about.items(), x, strict=False)} for x in asked]
+            found = [float(np.nan_to_num(np.mean(left(there) ** 2), nan=WORST**2)) for there in tried]
+            search.tell(list(zip(asked, found, strict=True)))
+            if min(found) < raw:
+                raw, best = min(found), tried[int(np.argmin(found))]
+            if raw < LEAST**2:
+                return float(np.sqrt(raw))
     return float(np.fmin(min(least, np.sqrt(raw)), near(best))) if best is not psi else least
 
 

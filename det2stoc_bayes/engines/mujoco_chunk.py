@@ -77,7 +77,7 @@ class Chunk:
         frozen = self._frozen(series["qvel"])
         bends = self._bends(series, commands, stepper)
 
-        def between(source, indices, _, at):
+        def between(source, indices, _, at):  # of all simulations, as is asked below
             straight = _interpolate(series[source][:, :, indices], at)
             return straight + bends[source][:, :, indices] if bends else straight
 

@@ -45,10 +45,11 @@ class Follower:
         states = {n: np.zeros((rows, samples, self.live[n].shape[1])) for n in self.live if n != "sensordata"}
         self._keep(0)
         new = np.diff(self.at, axis=1, prepend=-1.0) > 0
-        for j in range(samples):
-            for step in np.unique(self.step[new[:, j], j]):
-                self._advance(int(step))
-                self._lead(j, np.flatnonzero(new[:, j] & (self.step[:, j] == step)), columns, states)
+        for step in np.unique(self.step[new]):  # in their order, whatever the samples' numbers: grids may differ
+            self._advance(int(step))
+            there = new & (self.step == step)
+            for j in np.flatnonzero(there.any(0)):
+                self._lead(int(j), np.flatnonzero(there[:, j]), columns, states)
         self._advance(chunk.num_steps)
         for j in range(1, samples):
             same = ~new[:, j]

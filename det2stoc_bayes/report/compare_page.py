@@ -1,6 +1,6 @@
 """The page that holds methods beside each other: verdicts, diagnostics, figures."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,6 @@ BADGES = {
     "trust": "no_mismatch", "trust after refinement": "inconclusive", "do not trust": "mismatch",
     "no posterior": "inconclusive",
 }  # fmt: skip
-TABLES = {
-    "Draws": ("draws", "R-hat", "ESS", "divergences", "BFMI", "k-hat"),
-    "Distance from the reference": ("C2ST", "Wasserstein [sd]", "KL [nat]", "mean [sd]", "sd [%]"),
-    "Recordings under the posterior": ("predictive p", "surprise p", "LOO [nat]"),
-    "Cost": ("run [s]", "ESS / s", "compile [s]", "simulations", "gradients"),
-}
 MOST_PARAMETERS = 12  # in the forest
 
 
@@ -50,8 +44,9 @@ def compare_page(found: Comparison, *, name: str, doubts: Sequence[str] = ()) ->
         verdicts=[_verdict(row, number) for number, row in enumerate(found.rows)],
         failed=found.failed,
         tables=[
-            (title, columns, [(row.label, cells(row)[title]) for row in found.rows])
+            (title, list(columns), [(row.label, [told(row) for told in columns.values()]) for row in found.rows])
             for title, columns in TABLES.items()
+            if held is not None or title != DISTANCES
         ],
         forests=[_drawn(n, figures.forest_figure(shown, n)) for n in names[:MOST_PARAMETERS]],
         costs=[
@@ -73,28 +68,57 @@ def _posterior(run: Run) -> Posterior:
     return {label: draws for _, label, draws in scalars(run.tree)}
 
 
-def cells(row: Row) -> dict[str, list[str]]:
-    """A row's numbers as text, by the titles of TABLES and in the order of their columns."""
-    percent = None if row.sd_error is None else 100 * row.sd_error
-    loo = numbers.MISSING if row.elpd is None else numbers.number(row.elpd, 5)
-    if row.elpd is not None and row.elpd_error is not None:
-        loo = numbers.plus_minus(row.elpd, row.elpd_error)
-    if row.elpd_k_hat is not None and row.elpd_k_hat > reliable(max(row.num_draws, 2)):
-        loo += f" (k-hat {numbers.number(row.elpd_k_hat, 2)}: unreliable)"
-    drawn = map(_number, (row.r_hat, row.ess, row.divergences, row.bfmi, row.k_hat))
-    distances = map(_number, (row.c2st, row.wasserstein, row.kl, row.mean_error, percent))
-    seconds = map(_number, (row.seconds_run, row.ess_per_second, row.seconds_compile))
-    each = (
-        [str(row.num_draws or numbers.MISSING), *drawn],
-        list(distances),
-        [_number(row.predictive_p), _number(row.surprise_p), loo],
-        [*seconds, str(row.simulations), str(row.gradients)],
-    )
-    return dict(zip(TABLES, each, strict=True))
-
-
 def _number(value: float | None) -> str:
     return numbers.MISSING if value is None or not np.isfinite(value) else numbers.number(float(value))
+
+
+def _loo(row: Row) -> str:
+    if row.elpd is None:
+        return numbers.MISSING
+    said = numbers.number(row.elpd, 5) if row.elpd_error is None else numbers.plus_minus(row.elpd, row.elpd_error)
+    if row.elpd_k_hat is not None and row.elpd_k_hat > reliable(max(row.num_draws, 2)):
+        return f"{said} (k-hat {numbers.number(row.elpd_k_hat, 2)}: unreliable)"
+    return said
+
+
+def _of(name: str, times: float = 1.0) -> Callable[[Row], str]:
+    def told(row: Row) -> str:
+        value = getattr(row, name)
+        return _number(None if value is None else times * value)
+
+    return told
+
+
+DISTANCES = "Distance from the reference"
+TABLES: dict[str, dict[str, Callable[[Row], str]]] = {
+    "Draws": {
+        "draws": lambda row: str(row.num_draws or numbers.MISSING),
+        "R-hat": _of("r_hat"),
+        "ESS": _of("ess"),
+        "divergences": _of("divergences"),
+        "BFMI": _of("bfmi"),
+        "k-hat": _of("k_hat"),
+    },
+    DISTANCES: {
+        "C2ST": _of("c2st"),
+        "Wasserstein [sd]": _of("wasserstein"),
+        "KL [nat]": _of("kl"),
+        "mean [sd]": _of("mean_error"),
+        "sd [%]": _of("sd_error", 100.0),
+    },
+    "Recordings under the posterior": {
+        "predictive p": _of("predictive_p"),
+        "surprise p": _of("surprise_p"),
+        "LOO [nat]": _loo,
+    },
+    "Cost": {
+        "run [s]": _of("seconds_run"),
+        "ESS / s": _of("ess_per_second"),
+        "compile [s]": _of("seconds_compile"),
+        "simulations": lambda row: str(row.simulations),
+        "gradients": lambda row: str(row.gradients),
+    },
+}
 
 
 def _verdict(row: Row, number: int) -> dict[str, str]:

@@ -48,6 +48,16 @@ def test_a_region_of_other_friction_shows(three):
     assert LEAST < size < change  # measured: 0.38, 8.5
 
 
+def test_what_psi_hides_exactly_is_found_to_be_hidden():
+    """psi is the friction of the only contact that a box has; a hundredth off it still leaves 1.3 noise sds."""
+    system = SYSTEMS["thrown_box"]
+    psi = {"friction": 0.29, "contact_time": 0.025}
+    one = draw_probe(np.random.default_rng(0), system, psi, 0.01 * np.arange(system.samples)).first()
+    size, change = told(one, Effect("friction_error", "contact", "board/shell", {"ratio": 0.86}))
+    assert change > 3.0
+    assert size < LEAST
+
+
 def test_stretches_keep_the_time_of_their_reality(probe):
     """A vibration has another phase in each."""
     rates = {"amplitude": [0.003, 0.0, 0.0], "frequency": 2.5, "phase": 0.3}

@@ -69,6 +69,30 @@ def test_without_gains_it_is_an_ordinary_simulation(compiled, bodies, time):
         np.testing.assert_allclose(led.columns, plain.columns, atol=1e-13)
 
 
+@pytest.mark.parametrize("drawn", [False, True])
+def test_recordings_are_led_alike_alone_and_beside_others_of_another_clock(compiled, drawn):
+    """Every 20 ms, every 10 ms, with samples dropped, and at uneven times."""
+    model, random = compiled(FREE), np.random.default_rng(3)
+    clocks = [np.arange(16) * 0.02, np.arange(31) * 0.01, np.delete(np.arange(16) * 0.02, [4, 5])]
+    clocks.append(np.cumsum(np.concatenate([[0.0], random.uniform(0.003, 0.03, 15)])))
+    together = cut([blank_recording(model, time, None) for time in clocks])
+    shape = (*together.values.shape[:2], model.nv, 2)
+    gains = random.uniform(0.0, 0.3, (*shape, 2))
+    observer = Observer(gains, 0.1 * random.standard_normal(together.values.shape), np.ones(shape, bool), drawn)
+    speeds = random.standard_normal(model.nv)
+
+    def led(which):
+        count = len(which)
+        start = Start(np.tile(model.qpos0, (count, 1)), np.tile(speeds, (count, 1)), np.zeros((count, model.na)))
+        return MujocoC(model, 1).trajectory(Request(together, np.array(which), start, {}, (), observer=observer))
+
+    every = led(range(4))
+    for k in range(4):
+        alone = led([k])
+        for name in ("columns", "qpos", "qvel"):
+            np.testing.assert_array_equal(getattr(every, name)[k], getattr(alone, name)[0])
+
+
 def test_effects_with_and_without_a_step_of_their_own_act(compiled):
     model = compiled(ARM, rest=MOTORS, option='<option timestep="0.002" density="1.2" wind="1 0 0"/>')
     time = np.arange(11) * 0.02

@@ -10,7 +10,7 @@ from scipy.stats import chi2, norm
 from typer.testing import CliRunner
 
 from det2stoc_bayes import cli, verbs
-from det2stoc_bayes.comparison import Run, compare, known_reference, shortcomings
+from det2stoc_bayes.comparison import Run, compare, known_reference
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.inference import EXACT, get_method, npe
 from det2stoc_bayes.inference._surprise import Surprise
@@ -20,6 +20,7 @@ from det2stoc_bayes.psis import leave_one_out
 from det2stoc_bayes.report.compare_page import compare_page, misfits
 from det2stoc_bayes.study import load_study
 from det2stoc_bayes.tables import compare_json
+from det2stoc_bayes.verdicts import shortcomings
 
 METHODS = ("nuts", "emcee", "smc", "laplace", "prior")
 

@@ -125,6 +125,18 @@ def test_training_ends_early_and_keeps_the_best():
     assert last - best == 3 * 200
 
 
+@pytest.mark.parametrize(
+    ("options", "rows", "steps"),
+    [
+        ({}, 100_000, 300), ({}, 800, 10), ({}, 8000, 80), ({}, 1, 10), ({"epochs": np.inf}, 800, 300),
+        ({"num_steps": 20}, 800, 1), ({"num_steps": 0}, 800, 1), ({"epochs": 0.1}, 2000, 1),
+    ],
+)  # fmt: skip
+def test_training_is_looked_at_every_so_many_steps(options, rows, steps):
+    schedule = Schedule(**{"num_steps": 12_000, "batch": 1000} | options)
+    assert schedule.steps_between_checks(rows) == steps
+
+
 @pytest.mark.parametrize(("epochs", "in_time"), [(10.0, True), (np.inf, False)])
 def test_few_rows_are_not_learned_by_heart(epochs, in_time):
     """Loss beyond the entropy, measured: 0.47 nats, and where only every fortieth of the steps is checked 39."""

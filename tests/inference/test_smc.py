@@ -120,6 +120,11 @@ def test_short_chains_do_not_forget_in_many_directions(waste_free, arrived):
     assert (r_hat(z) < 1.05) == arrived
 
 
+@pytest.mark.parametrize(("size", "moves"), [(1, 5), (6, 5), (17, 6), (36, 11)])
+def test_more_unknowns_take_more_moves(size, moves):
+    assert smc.moves_for(size) == moves
+
+
 def r_hat(z):
     """Of chains of equal length (Gelman and Rubin 1992), the worst unknown's."""
     within, between = z.var(1, ddof=1).mean(0), z.mean(1).var(0, ddof=1)
