@@ -25,7 +25,6 @@ class Readings:
         dt: float,
     ):
         self.segments, self.which, self.dt = segments, which, dt
-        self.addresses = addresses
         sensors = [e for e in effects if e.placed.element.kind == "sensor"]
         # Columns by the array that they are read from, and those of sensors with effects one by one.
         self._plain: dict[str, list[tuple[int, int]]] = {}
@@ -42,7 +41,7 @@ class Readings:
         """Some samples of some simulations, from states that `between` tells."""
         stamps = self.segments.time[self.which[rows], samples]
         begin = self.segments.time[self.which[rows], 0]
-        out = np.empty((*stamps.shape, len(self.addresses)))
+        out = np.empty((*stamps.shape, len(self.segments.columns)))
         at = (stamps - begin[:, None]) / self.dt
         for source, here in self._plain.items():
             out[:, :, [j for j, _ in here]] = between(source, [index for _, index in here], rows, at)

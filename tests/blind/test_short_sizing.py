@@ -39,13 +39,13 @@ def test_a_weight_that_another_friction_carries_does_not_show(probe):
     """A third more of gravity is a third more of both frictions, far from where they are."""
     size, change = told(probe, Effect("gravity_error", "world", "world", {"change": -3.0}))
     assert change > 3.0  # measured: 10.7
-    assert size < LEAST  # measured: 0.10
+    assert size < LEAST  # measured: 0.15
 
 
 def test_a_region_of_other_friction_shows(three):
     """One recording alone may be told by another friction (measured: 0.13)."""
     size, change = told(three, Effect("friction_patch", "contact", "disc/table", PATCH))
-    assert LEAST < size < change  # measured: 0.38, 8.5
+    assert LEAST < size < change  # measured: 0.28, 8.5
 
 
 HIDDEN = {
