@@ -12,7 +12,9 @@ from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact import run
 from det2stoc_bayes.mismatch.contact.believed import believed, searched
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
-from det2stoc_bayes.mismatch.contact.fit import STEPS, _columns, _taught, at, fit_followed, steady
+from det2stoc_bayes.mismatch.contact.differences import STEPS, columns_of, steady
+from det2stoc_bayes.mismatch.contact.evolution import PATIENCE, evolved
+from det2stoc_bayes.mismatch.contact.fit import _along, _taught, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
 from det2stoc_bayes.mismatch.contact.judge import judged
 from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, climbed, nearer, with_memory, with_own
@@ -193,10 +195,10 @@ def test_pairs_know_their_recordings_and_a_posterior_what_it_took(problem):
     )  # the third, held out, is another
     counter = problem.simulator.counter
     begun = counter.simulations
-    said = judged(pair, [], False, 0, pair)
-    assert said.evaluations == (counter.simulations - begun) // 3 > 0
-    belief = ContactComposer(said, [], 0)._belief(pair)
-    assert belief["evaluations"] == said.evaluations
+    rod = yardstick(fit, 0)
+    assert rod.evaluations == (counter.simulations - begun) // 3 > 0
+    belief = ContactComposer(judged(pair, [], False, 0, pair, rod), [], 0)._belief(pair)
+    assert belief["evaluations"] == rod.evaluations
 
 
 def test_the_believed_model_is_fitted_with_its_memory_and_what_it_tells(problem):
@@ -238,11 +240,11 @@ def test_nothing_further_is_looked_for_where_surely_little_is_left(problem, slid
     wrong, right = (at(fit, z_of(problem, f * TRUTH)) for f in (0.5, 1.0))
     before, after = (Pair(x, at(held, x.z, x.scales)) for x in (wrong, right))
     rod = yardstick(right, 0)
-    monkeypatch.setattr(run, "yardstick", lambda *_: replace(rod, level=rod.of(after)))
+    rod = replace(rod, level=rod.of(after))
     ends = []
     for sds in (0.0, 100.0):
         monkeypatch.setattr(run, "SURELY", sds)
-        ends.append(run._settled(before, after, 0, lambda *_: None))
+        ends.append(run._settled(before, after, rod, lambda *_: None))
     assert ends == [True, False]
 
 
@@ -263,7 +265,7 @@ def test_an_effect_beside_which_psi_strains_at_its_prior_is_no_sure_name(tmp_pat
         pairs.append(Pair(at(fit, there), at(held, there, at(fit, there).scales)))
     base, more = pairs
     assert (abs(z[0]) > 3) == (verdict == "inconclusive")
-    said = judged(base, [Round(base, (), (more,), more)], False, 0, more)
+    said = judged(base, [Round(base, (), (more,), more)], False, 0, more, yardstick(more.fit, 0))
     assert said.verdict == verdict and said.places[0][0].chance == 1.0
 
 
@@ -283,7 +285,7 @@ def test_what_an_effect_explains_is_told_with_one_memory(problem, sliding):
     led = with_memory(base, 50.0)
     assert led.fit.followed.memory == led.held.followed.memory == 50.0 and with_memory(led, 50.0) is led
     # friction is free in the refit, so that the passenger explains nothing; told at two memories it would
-    said = judged(base, [Round(base, (), (more,), more)], False, 0, more)
+    said = judged(base, [Round(base, (), (more,), more)], False, 0, more, yardstick(more.fit, 0))
     assert said.verdict == "no_mismatch" and said.negligible[0][1] < 0.05
 
 
@@ -317,12 +319,12 @@ class Waves(Followed):
 
 def test_sensitivities_are_taken_over_steps_on_which_both_sides_agree():
     waves, z = Waves(), np.zeros(2)
-    columns, sizes = _columns(waves, z, waves.errors(z[None])[0], None)
+    columns, sizes = columns_of(waves, z, waves.errors(z[None])[0], None)
     assert sizes[1] == STEPS[0] and sizes[0] < STEPS[0]
     np.testing.assert_allclose(columns[0, :, 0, 0], 20 * np.cos(np.arange(10.0)), atol=3.0)
     np.testing.assert_allclose(columns[0, :, 0, 1], 3.0)
     waves.steps.clear()
-    again, same = _columns(waves, z, waves.errors(z[None])[0], sizes)
+    again, same = columns_of(waves, z, waves.errors(z[None])[0], sizes)
     assert waves.steps == [(0, sizes[0]), (1, sizes[1])]
     np.testing.assert_array_equal(same, sizes)
     np.testing.assert_array_equal(again, columns)
@@ -359,10 +361,10 @@ def test_own_values_of_held_out_recordings_are_looked_for_before_any_step(tmp_pa
 
 def test_sensitivities_that_are_known_nearby_are_not_found_anew():
     waves, z = Waves(), np.zeros(2)
-    columns, sizes = _columns(waves, z, waves.errors(z[None])[0])
+    columns, sizes = columns_of(waves, z, waves.errors(z[None])[0])
     waves.steps.clear()
     half = np.array([sizes[0], np.nan])  # of the last unknown nothing is known
-    again, found = _columns(waves, z, waves.errors(z[None])[0], half, columns[..., :1])
+    again, found = columns_of(waves, z, waves.errors(z[None])[0], half, columns[..., :1])
     assert {which for which, _ in waves.steps} == {1}
     np.testing.assert_array_equal(found, sizes)
     np.testing.assert_array_equal(again, columns)
@@ -388,3 +390,28 @@ def test_a_fit_that_is_taught_by_one_nearby_ends_at_the_same_place(problem, slid
     at_once.append(_taught(at(followed.remembering(12.0), fit.z), fit))
     assert [f.known is not None for f in at_once] == [True, False, False]
     assert all(f.sizes is not None and np.isfinite(f.sizes).all() for f in at_once)
+
+
+@pytest.mark.parametrize(("share", "best", "asked"), [(1.0, 1.0, 3), (0.3, 0.3, 2), (3.0, 3.0, 3), (0.1, 0.1, 3)])
+def test_along_a_step_is_asked_where_it_can_be_better(problem, sliding, monkeypatch, share, best, asked):
+    """A step that is right, too long, too short, and much too long."""
+    followed = Followed(problem, 6.0).hearing(sliding)
+    top = fit_followed(followed, np.full(1, 0.2)).z
+    fit, told = at(followed, top - 0.1), []
+    errors = Followed.errors
+    monkeypatch.setattr(Followed, "errors", lambda self, z: told.extend(z) or errors(self, z))
+    found = _along(fit, np.full(1, 0.1 / share))
+    assert len(told) == asked
+    np.testing.assert_allclose(found.z, fit.z + best * 0.1 / share)
+
+
+def test_evolution_ends_where_nothing_better_is_found_for_long(problem, sliding):
+    top = fit_followed(Followed(problem, 6.0).hearing(sliding), np.full(1, 0.2))
+    asked = []
+
+    def unknowns(x):
+        asked.append(x)
+        return top.z + 1.0 + x**2  # all are worse
+
+    z = evolved(top, unknowns, size=1, sigma=1.0, population=4, generations=20)
+    assert z is top.z and len(asked) == 4 * PATIENCE

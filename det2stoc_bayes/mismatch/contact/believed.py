@@ -18,6 +18,7 @@ from det2stoc_bayes.mismatch.contact.telling import telling
 MIDDLE = 12.0  # samples: long enough for a wrong psi to show, short enough for a missing effect not to hide a right one
 POPULATION, GENERATIONS = 12, 8  # of the search
 REGARDS = ((False, 1.0), (True, 1.0), (True, 0.1))  # whether contact holds bodies, and the share of its jolts
+FINER = 4  # times: contact lasts for a few steps, so that shorter ones tell more than a higher order does
 FINER_CERTAIN = 2.0  # standard errors by which a finer integration must tell recordings better
 
 
@@ -29,16 +30,20 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
     """
     middle = followed.remembering(MIDDLE)
     z, step = searched(middle), float(followed.problem.simulator.model.opt.timestep)
-    ways = (middle, middle.integrated(step, "RK4"))
+    ways = (middle, middle.integrated(step / FINER, None))
     plain, fine = (best_remembered(fit_followed(way, z, iterations=SKETCH)) for way in ways)
     finer = certainty(plain.losses - fine.losses, followed.recording) >= FINER_CERTAIN
     fits = grounded(climbed(fine if finer else plain))
     heard = telling(min(fits, key=lambda f: f.loss))
     # What rattles has led psi astray: each is fitted to what is heard before one is chosen, and hears what it tells.
-    told = [fit_followed(f.followed.hearing(heard), f.z) for f in fits]
+    told = [fit_followed(f.followed.hearing(heard), f.z, like=f) for f in fits]
     best, whole = min(zip(told, fits, strict=True), key=lambda pair: pair[0].loss)
     both = heard & telling(at(whole.followed, best.z))
-    fit = best if (both == heard).all() or not both.any() else fit_followed(best.followed.hearing(both), best.z)
+    fit = (
+        best
+        if (both == heard).all() or not both.any()
+        else fit_followed(best.followed.hearing(both), best.z, like=best)
+    )
     return paired(climbed(fit), held), finer
 
 

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.compose import PACKAGES, UNLIKELY
 from det2stoc_bayes.mismatch.conflict import strained, tail_probability
+from det2stoc_bayes.mismatch.contact.believed import FINER
 from det2stoc_bayes.mismatch.contact.experiment import proposed
 from det2stoc_bayes.mismatch.contact.judge import Class, Verdict, corrected, covariance, log10_bayes, worst_column
 from det2stoc_bayes.mismatch.contact.pair import Pair
@@ -36,7 +37,7 @@ class ContactComposer:
     def _draws(self, pair: Pair) -> Float[np.ndarray, "draws size"]:
         """Of the unknowns, as normal as they are for many samples."""
         fit = pair.fit
-        v = covariance(fit, self.said.replicas)
+        v = covariance(fit, self.said.rod.replicas)
         random = np.random.default_rng(self.seed)
         z = random.multivariate_normal(fit.z, 0.5 * (v + v.T), NUM_DRAWS, method="eigh") if len(fit.z) else None
         z = np.zeros((NUM_DRAWS, 0)) if z is None else z
@@ -84,7 +85,7 @@ class ContactComposer:
 
     def _belief(self, pair: Pair) -> dict[str, Any]:
         """How its draws were made: they cost nothing, but refits to replicas that correct their covariance do."""
-        evaluations = self.said.evaluations if corrected(pair.fit, self.said.replicas) else 0
+        evaluations = self.said.rod.evaluations if corrected(pair.fit, self.said.rod.replicas) else 0
         return {"method": "laplace", "k_hat": None, "draws": NUM_DRAWS, "evaluations": evaluations}
 
     def _effect(self, i: int) -> finding.Effect:
@@ -181,7 +182,8 @@ class ContactComposer:
     def _finer(self) -> str:
         if not self.said.fine:
             return ""
-        return "Errors of the believed integration show in so good a fit; hypotheses were compared by RK4."
+        error = "Errors of the believed integration show in so good a fit"
+        return f"{error}; hypotheses were compared by steps {FINER} times as short."
 
     def _all_well(self, psi) -> str:
         said = self.said

@@ -11,22 +11,18 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.linearization import follow_own
+from det2stoc_bayes.mismatch.contact.differences import columns_of
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.scales import Scales, scales_of, scatter
 from det2stoc_bayes.problem import Problem
-from det2stoc_bayes.unknowns import Unknowns
 
-STEPS = (0.2, 0.04, 0.008)  # prior sds to either side: the first over which predictions are smooth enough
-SMOOTH = 0.7  # share of a sensitivity's square that both sides agree on
-AGREE = 0.3  # relative difference of the slopes to either side beyond which a sensitivity is chaos
-FRACTIONS = (3.0, 1.0, 0.3, 0.1)  # of a step
+FRACTIONS = (1.0, 0.3)  # of a step that are tried
+FURTHER, BACK = 3.0, 0.1  # of it, where the whole step is the better one, or neither tells anything better
 LARGEST_STEP = 2.0  # prior sds at once
 ITERATIONS = 10
 SETTLED = 0.1  # nats
 FARTHEST = 5.0  # prior sds of psi from its median
 NEAR = 0.3  # prior sds within which sensitivities serve for a step
-MOST_WIDER = 5.0  # population sds for one of the prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +46,7 @@ class ContactFit:
     @cached_property
     def differences(self) -> tuple[Float[np.ndarray, "blocks samples columns size"], Float[np.ndarray, " size"]]:
         """Sensitivities of the prediction to the unknowns, in noise sds, and over which steps they were found."""
-        return _columns(self.followed, self.z, self.errors, self.sizes, self.known)
+        return columns_of(self.followed, self.z, self.errors, self.sizes, self.known)
 
     @property
     def columns(self) -> Float[np.ndarray, "blocks samples columns size"]:
@@ -112,7 +108,7 @@ class ContactFit:
     def as_believed(self) -> "ContactFit":
         """The same unknowns under the believed integration."""
         plain = self.followed.integrated(None, None)
-        return self if self.problem.integrator is None else at(plain, self.z, self.scales)
+        return self if self.problem.timestep is None else at(plain, self.z, self.scales)
 
     def only(self, rows: np.ndarray) -> "ContactFit":
         """The same on some recordings, under the scales of all."""
@@ -120,13 +116,6 @@ class ContactFit:
         some = ContactFit(self.followed.only(rows), self.z, self.errors[blocks], self.scales)
         some.__dict__["differences"] = self.columns[blocks], self.differences[1]
         return some
-
-
-def steady(up: np.ndarray, down: np.ndarray) -> np.ndarray:
-    """Slopes as far as those to either side agree: where contact is chaotic they have nothing in common."""
-    size = np.abs(up) + np.abs(down)
-    apart = np.divide(np.abs(up - down), size, out=np.zeros_like(size), where=size > 0)
-    return 0.5 * (up + down) / (1 + (apart / AGREE) ** 4)
 
 
 def at(followed: Followed, z: Float[np.ndarray, " size"], scales: Scales | None = None) -> ContactFit:
@@ -169,7 +158,7 @@ def fit_followed(
     while iterations > 0:
         iterations = iterations if again else iterations - 1
         step, taught = _step(fit, held), fit.known is not None
-        found = _best(followed, np.stack([within(fit, fit.z + f * step) for f in FRACTIONS]))
+        found = _along(fit, step)
         gain, (columns, sizes) = fit.loss - found.loss, fit.differences
         short = np.abs(found.z - fit.z).max(initial=0.0) < NEAR
         serves = short and not taught and iterations > 0 and gain >= SETTLED
@@ -193,85 +182,26 @@ def _taught(fit: ContactFit, like: ContactFit) -> ContactFit:
     return replace(fit, sizes=sizes, known=like.columns if found and near else None)
 
 
+def _along(fit: ContactFit, step: Float[np.ndarray, " size"]) -> ContactFit:
+    """The likeliest of what lies along a step, which is often too short where sensitivities to both sides disagree."""
+    far, near = _fits(fit.followed, np.stack([within(fit, fit.z + f * step) for f in FRACTIONS]))
+    best = min((far, near), key=lambda f: f.loss)
+    if best.loss >= fit.loss:
+        more = BACK
+    elif best is near:
+        return near
+    else:
+        more = FURTHER
+    return min((best, *_fits(fit.followed, within(fit, fit.z + more * step)[None])), key=lambda f: f.loss)
+
+
 def _best(followed: Followed, z: Float[np.ndarray, "variants size"]) -> ContactFit:
     """The likeliest of these unknowns."""
-    fits = [ContactFit(followed, one, e, scales_of(e)) for one, e in zip(z, followed.errors(z), strict=True)]
-    return min(fits, key=lambda f: f.loss)
+    return min(_fits(followed, z), key=lambda f: f.loss)
 
 
-def _columns(
-    followed: Followed,
-    z: np.ndarray,
-    errors: np.ndarray,
-    sizes: np.ndarray | None = None,
-    known: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """By finite differences over given steps, or over those to whose sides they agree best."""
-    problem = followed.problem
-    columns = np.zeros((*errors.shape, problem.size))
-    sizes = np.full(problem.size, np.nan) if sizes is None else sizes.copy()
-    first = 0 if known is None else known.shape[-1]
-    columns[..., :first] = 0.0 if known is None else known
-    told, wider = problem.unknowns.followed(z), _wider(problem.unknowns, z, problem.size)
-    probes = [which for which in problem.probes() if which[0] >= first and which[0] not in told]
-    given = [which for which in probes if np.isfinite(sizes[which[0]])]
-    found = _differences(followed, z, errors, given, [float(sizes[w[0]] * wider[w[0]]) for w in given])
-    for which, (change, _) in zip(given, found, strict=True):
-        _put(columns, which, change, followed.recording)
-    probes = [which for which in probes if not np.isfinite(sizes[which[0]])]
-    best = np.full(problem.size, -1.0)
-    for size in STEPS:
-        found = _differences(followed, z, errors, probes, [float(size * wider[w[0]]) for w in probes])
-        for which, (change, agreed) in zip(probes, found, strict=True):
-            if agreed > best[which[0]]:
-                best[which[0]], sizes[which] = agreed, size
-                _put(columns, which, change, followed.recording)
-        probes = [which for which in probes if best[which[0]] < SMOOTH]
-    follow_own(problem.unknowns, z, columns, followed.recording)
-    return columns, sizes
-
-
-def _wider(unknowns: Unknowns, z: np.ndarray, size: int) -> Float[np.ndarray, " size"]:
-    """How much wider each unknown is moved: own values, in sds of their population, as far as mu moves them."""
-    wider = np.ones(size)
-    for block in unknowns.varying:
-        slope = np.median(np.abs(block.shared_slopes(z)[0]))
-        wider[block.first_own : block.stop] = np.clip(slope, 1.0, MOST_WIDER) if np.isfinite(slope) else 1.0
-    return wider
-
-
-def _put(columns: np.ndarray, which: np.ndarray, change: np.ndarray, recording: np.ndarray) -> None:
-    """Unknowns of single recordings show in their own alone."""
-    if len(which) == 1:
-        columns[..., which[0]] = change
-        return
-    for r, i in enumerate(which):
-        mine = recording == r
-        columns[mine, :, :, i] = change[mine]
-
-
-def _differences(
-    followed: Followed, z: np.ndarray, errors: np.ndarray, probes: Sequence[np.ndarray], sizes: Sequence[float]
-) -> list[tuple[np.ndarray, float]]:
-    """Changes of the prediction for one sd of the unknowns of each probe, and the share that both sides agree on."""
-    problem = followed.problem
-    moved, steps = np.tile(z, (2 * len(probes), 1)), []
-    for k, (which, size) in enumerate(zip(probes, sizes, strict=True)):
-        steps.append(abs(problem.nudge(z, which, size)))
-        moved[2 * k, which] += steps[-1]
-        moved[2 * k + 1, which] -= steps[-1]
-    moved = np.maximum(moved, problem.floor)
-    found = followed.errors(moved) if len(probes) else []
-    out = []
-    for k, (which, step) in enumerate(zip(probes, steps, strict=True)):
-        up, down = (np.nan_to_num(x) for x in ((errors - found[2 * k]) / step, (found[2 * k + 1] - errors) / step))
-        if moved[2 * k + 1, which[0]] > z[which[0]] - 0.5 * step:  # at the wall there is one side only
-            out.append((up, 1.0))
-            continue
-        change = steady(up, down)
-        whole = float(((0.5 * (up + down)) ** 2).sum())
-        out.append((change, float((change**2).sum()) / whole if whole > 0 else 1.0))
-    return out
+def _fits(followed: Followed, z: Float[np.ndarray, "variants size"]) -> list[ContactFit]:
+    return [ContactFit(followed, one, e, scales_of(e)) for one, e in zip(z, followed.errors(z), strict=True)]
 
 
 def _step(fit: ContactFit, held: Sequence[int]) -> np.ndarray:

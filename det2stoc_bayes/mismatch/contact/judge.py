@@ -7,10 +7,11 @@ from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.conflict import strained
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
-from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
-from det2stoc_bayes.mismatch.contact.scales import Scales, certainty
+from det2stoc_bayes.mismatch.contact.pair import Pair, paired, with_memory
+from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.search import Round, alike, chances
-from det2stoc_bayes.mismatch.contact.yardstick import yardstick
+from det2stoc_bayes.mismatch.contact.top import topped
+from det2stoc_bayes.mismatch.contact.yardstick import Yardstick
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 
@@ -36,11 +37,9 @@ class Verdict:
     explains: tuple[float, ...]
     unexplained: float
     excess: float  # mean squared held-out error beyond what the model itself would leave, over the latter
-    reference: Scales
+    rod: Yardstick
     rounds: tuple[Round, ...]
     fine: bool
-    replicas: tuple[ContactFit, ...]
-    evaluations: int  # simulations of all fitted recordings that the replicas took
     negligible: tuple[tuple[Pair, float], ...] = ()
 
     @property
@@ -49,12 +48,8 @@ class Verdict:
         return self.after if self.verdict == "mismatch" else self.before
 
 
-def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair) -> Verdict:
+def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair, rod: Yardstick) -> Verdict:
     """Names the additions that recordings which were not fitted ask for, and that nothing else could stand for."""
-    counter = final.fit.problem.simulator.counter
-    begun = counter.simulations
-    rod = yardstick(final.fit, seed)
-    evaluations = (counter.simulations - begun) // max(final.fit.problem.segments.count, 1)
     taken = [r for r in rounds if r.taken is not None]
     # A short memory forgives what is missing: all are led as the last one is.
     chain = [before, *(r.taken for r in taken[:-1] if r.taken is not None), *([final] if taken else [])]
@@ -64,18 +59,23 @@ def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair
     left = rod.left(start, rod.of(final))
     random = np.random.default_rng(seed)
     places = tuple(classes(r, random) for r in taken)
-    every = {"before": before, "rounds": tuple(rounds), "fine": fine, "replicas": rod.replicas}
-    every |= {"evaluations": evaluations}
-    common = {**every, "reference": rod.reference, "excess": excess / rod.level, "unexplained": left}
+    common = {"rounds": tuple(rounds), "fine": fine, "rod": rod, "excess": excess / rod.level, "unexplained": left}
     small = not taken or sum(explains) < NEGLIGIBLE or excess <= 0
     if small:
         out = tuple((r.taken, e) for r, e in zip(taken, explains, strict=True) if r.taken is not None)
-        return Verdict("no_mismatch", after=before, places=(), explains=(), negligible=out, **common)
+        shown = topped_pair(before, seed) if taken else before
+        return Verdict("no_mismatch", shown, after=shown, places=(), explains=(), negligible=out, **common)
     # An effect beside which psi strains at its prior may stand for another.
     strain = strained(final.fit.problem, final.fit.z)
     sure = all(p[0].chance >= SURE for p in places) and left < MOST_LEFT and not strain
     verdict = "mismatch" if sure else "inconclusive"
-    return Verdict(verdict, after=final, places=places, explains=explains, **common)
+    shown = before if sure else topped_pair(before, seed)
+    return Verdict(verdict, shown, after=final, places=places, explains=explains, **common)
+
+
+def topped_pair(pair: Pair, seed: int) -> Pair:
+    """A hypothesis at the top of its likelihood."""
+    return paired(topped(pair.fit, np.random.default_rng([seed, 11])), pair.held.followed)
 
 
 def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
@@ -101,8 +101,8 @@ def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
 def worst_column(verdict: Verdict) -> tuple[str, float]:
     """The column whose error most exceeds what the model itself would leave, and by how many times in variance."""
     final = verdict.shown.fit
-    told = np.isfinite(final.scales.values) & np.isfinite(verdict.reference.values)
-    ratio = np.where(told, final.scales.values, 1.0) / np.where(told, verdict.reference.values, 1.0)
+    told = np.isfinite(final.scales.values) & np.isfinite(verdict.rod.reference.values)
+    ratio = np.where(told, final.scales.values, 1.0) / np.where(told, verdict.rod.reference.values, 1.0)
     j = int(np.where(told, ratio, 0.0).argmax())
     return final.problem.segments.columns[j], float(ratio[j] ** 2)
 

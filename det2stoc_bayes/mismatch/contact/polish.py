@@ -1,5 +1,7 @@
 """Fits where contact makes the likelihood bumpy: Gauss-Newton ends at the nearest bump, evolution goes beyond it."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -25,4 +27,4 @@ def polished(fit: ContactFit) -> ContactFit:
         return within(fit, z)
 
     best = evolved(fit, unknowns, size=len(free), sigma=WIDTH, population=POPULATION, generations=GENERATIONS)
-    return fit if best is fit.z else at(fit.followed, best)
+    return fit if best is fit.z else replace(at(fit.followed, best), sizes=fit.differences[1])

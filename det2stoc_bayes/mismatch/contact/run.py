@@ -9,12 +9,11 @@ from det2stoc_bayes.mismatch.contact.believed import believed
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import Followed
-from det2stoc_bayes.mismatch.contact.judge import Verdict, judged
-from det2stoc_bayes.mismatch.contact.pair import Pair, paired, with_memory
+from det2stoc_bayes.mismatch.contact.judge import Verdict, judged, topped_pair
+from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
-from det2stoc_bayes.mismatch.contact.top import topped
-from det2stoc_bayes.mismatch.contact.yardstick import yardstick
+from det2stoc_bayes.mismatch.contact.yardstick import Yardstick, yardstick
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 from det2stoc_bayes.problem import Problem
@@ -41,26 +40,37 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     alone = len(problem.simulator.study.recordings) == 1 and not problem.simulator.study.holdout
     pool = [] if alone else candidates(before.fit.problem, elements_of(before.fit))
     base, rounds = before, []
-    while len(rounds) < MAX_EFFECTS and not (rounds and _settled(before, base, seed, progress)):
+    rod: Yardstick | None = None  # of the base, where that is at its top
+    while len(rounds) < MAX_EFFECTS and not (rod is not None and _settled(before, base, rod, progress)):
         one = look(base, pool, progress, seed) if pool else Round(base, (), (), None)
         before = one.base if not rounds else before
         rounds.append(one)
         base = one.taken or one.base
+        rod = None
         if one.taken is None:
             break
+        progress("measuring what is left", 0, 1)
+        base, rod = _measured(base, seed)
     progress("scoring held-out recordings", 0, 1)
-    before, base = (_topped(p, seed) for p in (before, base))
-    said = judged(before, rounds, fine, seed, base)
+    if rod is None:
+        found = base
+        base, rod = _measured(base, seed)
+        before = base if found is before else before
+    said = judged(before, rounds, fine, seed, base, rod)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
     composer = ContactComposer(said, when, seed)
     progress("scoring held-out recordings", 1, 1)
     return composer, _patch(said, composer)
 
 
-def _settled(before: Pair, after: Pair, seed: int, progress: Progress) -> bool:
+def _measured(pair: Pair, seed: int) -> tuple[Pair, Yardstick]:
+    """A hypothesis at its top, and what errors it would leave."""
+    top = topped_pair(pair, seed)
+    return top, yardstick(top.fit, seed)
+
+
+def _settled(before: Pair, after: Pair, rod: Yardstick, progress: Progress) -> bool:
     """Whether surely so little of the error is left that whatever else explains it were negligible."""
-    progress("measuring what is left", 0, 1)
-    rod = yardstick(after.fit, seed)
     most = rod.of(after) + SURELY * rod.uncertain(after)
     left = rod.left(rod.of(with_memory(before, after.fit.followed.memory)), most)
     progress("measuring what is left", 1, 1)
@@ -86,10 +96,6 @@ def fit_believed(problem: Problem, *, hold_out: bool = True) -> tuple[Pair, bool
             "finite (check units, the timestep and the recordings' first samples)"
         )
     return believed(followed, whole.on(held if held else fitted[:1]))
-
-
-def _topped(pair: Pair, seed: int) -> Pair:
-    return paired(topped(pair.fit, np.random.default_rng([seed, 11])), pair.held.followed)
 
 
 def _patch(said: Verdict, composer: ContactComposer) -> Patch:

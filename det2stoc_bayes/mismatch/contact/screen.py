@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from det2stoc_bayes.mismatch.contact.fit import ContactFit, steady
+from det2stoc_bayes.mismatch.contact.differences import steady
+from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import FARTHEST
 from det2stoc_bayes.mismatch.contact.regions import likeliest_border
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial

@@ -73,11 +73,11 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     ground = nearer(first.fit)
     screened = _screened(ground, others, progress)
     least = LEAST_PROMISE * threshold(len(others))
-    found = refined(first, ground, [s for s in screened if s.gain > least], progress)
+    found = refined(first, ground, [s for s in screened if s.gain > least], first_luck, progress)
     if found and found[0].gain(first) > max(LOOK_AGAIN, first_luck):
         there = nearer(without_last(found[0], ground.followed.memory))
         again = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
-        again = refined(first, there, [s for s in again if s.gain > least], progress)
+        again = refined(first, there, [s for s in again if s.gain > least], first_luck, progress)
         found = best_of_each([*found, *again])
     base = better_base(first, found, first_luck, longer=False)
     if not found or found[0].gain(base) <= -first_luck:  # for additions are not beyond their bumps yet
@@ -100,12 +100,15 @@ def beyond_bumps(pair: Pair, luck: float) -> Pair:
 
 
 def better_base(base: Pair, found: Sequence[Pair], luck: float, *, longer: bool) -> Pair:
-    """The base from where its best addition led psi, perhaps with a longer memory, if it is told better there."""
+    """The base from where its best addition led psi, if it is told better there.
+
+    Perhaps with a `longer` memory, and then beyond its bumps.
+    """
     if not found:
         return base
     there = without_last(found[0], found[0].fit.followed.memory)
-    other = paired(fit_followed(there.followed, there.z), base.held.followed)
-    other = beyond_bumps(remembered(other) if longer else other, luck)
+    other = paired(fit_followed(there.followed, there.z, like=base.fit), base.held.followed)
+    other = beyond_bumps(remembered(other), luck) if longer else other
     return min((base, other), key=lambda p: p.height)
 
 
@@ -119,19 +122,23 @@ def _screened(fit: ContactFit, pool: Sequence[PlacedEffect], progress: Progress)
     return screen(fit, pool, advance)
 
 
-def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progress: Progress) -> list[Pair]:
+def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], luck: float, progress: Progress) -> list[Pair]:
     """Those that promise most, sketched, and of these the best, fitted; the first from each of its sketches.
 
-    Who falls far behind on some of the recordings is left there, after a first step or a sketch.
+    Who falls far behind on some of the recordings is left there, after a first step or a sketch, beyond what `luck`
+    does there. What leads psi back from where the ground has it is no addition's merit.
     """
     worth = shortlist(screened, NUM_SKETCHED)
     worth += [o for s in worth[:3] for o in s.others if o.gain > ALSO * s.gain]
     few = some(ground)
-    bare = at(few.followed, few.z).loss
+    slack = luck * np.sqrt(few.problem.segments.count / base.fit.problem.segments.count)
+    alone = fit_followed(few.followed, few.z, iterations=1, like=few)
+    stayed = at(few.followed, base.fit.z).loss
     tell = partial(_in_turn, progress=progress, total=2 * len(worth) + NUM_REFINED)
-    begun = in_reach(tell(lambda p: sketched(few, p, iterations=1), worth, 0), bare, BEGUN)
+    begun = in_reach(tell(lambda p: sketched(few, p, iterations=1), worth, 0), alone.loss, BEGUN, slack)
     sketches = tell(lambda f: fit_followed(f.followed, f.z, iterations=SKETCH - 1, like=f), begun, len(worth))
-    sketches = in_reach(sketches, bare, DRAWN)
+    alone = fit_followed(few.followed, alone.z, iterations=SKETCH - 1, like=alone)
+    sketches = in_reach(sketches, min(alone.loss, stayed), DRAWN, slack)
     sketches.sort(key=lambda f: f.loss)
     best = {s.problem.effects[-1]: s for s in reversed(sketches)}
     chosen = sorted(best.values(), key=lambda f: f.loss)[:NUM_REFINED]
@@ -141,10 +148,10 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], progres
     return best_of_each(pairs)
 
 
-def in_reach(fits: Sequence[ContactFit], bare: float, part: float) -> list[ContactFit]:
-    """Those that gain such a part of the best's gain over what is `bare`; where nothing gains, those near the best."""
+def in_reach(fits: Sequence[ContactFit], bare: float, part: float, slack: float) -> list[ContactFit]:
+    """Those that gain such a part of the best's gain over what is `bare`, and those at most so many nats behind it."""
     best = max((bare - f.loss for f in fits), default=0.0)
-    return [f for f in fits if bare - f.loss >= best - (1 - part) * abs(best)]
+    return [f for f in fits if bare - f.loss >= best - max((1 - part) * abs(best), slack)]
 
 
 def _in_turn[T, S](
@@ -246,7 +253,7 @@ def gain_by_chance(
             break
         progress("measuring chance", k, NUM_CHANCES)
         followed = replicated(base.fit, np.random.default_rng([seed, 7, k]))
-        fit = fit_followed(followed, base.fit.z, iterations=3)
+        fit = fit_followed(followed, base.fit.z, iterations=3, like=base.fit)
         worth = screen(fit, rivals)
         best = max([best, *(float(fit.losses.sum() - sketched(fit, p).losses.sum()) for p in worth)])
     progress("measuring chance", NUM_CHANCES, NUM_CHANCES)

@@ -22,6 +22,7 @@ class Yardstick:
     replicas: tuple[ContactFit, ...]
     reference: Scales
     level: float
+    evaluations: int  # simulations of all fitted recordings that the fits took
 
     def of(self, pair: Pair) -> float:
         """Mean squared error of held-out blocks, of all where too few are held out."""
@@ -46,12 +47,15 @@ class Yardstick:
 
 def yardstick(fit: ContactFit, seed: int) -> Yardstick:
     """That of a hypothesis at its most likely unknowns."""
+    counter = fit.problem.simulator.counter
+    begun = counter.simulations
     made = (replicated(fit, np.random.default_rng([seed, k])) for k in range(NUM_REPLICAS))
-    replicas = tuple(fit_followed(followed, fit.z, iterations=3) for followed in made)
+    replicas = tuple(fit_followed(followed, fit.z, iterations=3, like=fit) for followed in made)
     pooled = np.sqrt(np.mean([r.scales.values**2 for r in replicas], axis=0))
     reference = Scales(np.maximum(pooled, 1e-300))
     level = float(np.mean([squares(r.errors, reference).mean() for r in replicas]))
-    return Yardstick(replicas, reference, level)
+    evaluations = (counter.simulations - begun) // max(fit.problem.segments.count, 1)
+    return Yardstick(replicas, reference, level, evaluations)
 
 
 def squares(errors: Float[np.ndarray, "blocks samples columns"], reference: Scales) -> Float[np.ndarray, " blocks"]:

@@ -1,0 +1,97 @@
+"""Sensitivities of followed simulations by finite differences that are wide, and no wider than contact allows."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from det2stoc_bayes.linearization import follow_own
+from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.unknowns import Unknowns
+
+STEPS = (0.2, 0.04, 0.008)  # prior sds to either side: the first over which predictions are smooth enough
+SMOOTH = 0.7  # share of a sensitivity's square that both sides agree on
+AGREE = 0.3  # relative difference of the slopes to either side beyond which a sensitivity is chaos
+MOST_WIDER = 5.0  # population sds for one of the prior
+
+
+def steady(up: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Slopes as far as those to either side agree: where contact is chaotic they have nothing in common."""
+    size = np.abs(up) + np.abs(down)
+    apart = np.divide(np.abs(up - down), size, out=np.zeros_like(size), where=size > 0)
+    return 0.5 * (up + down) / (1 + (apart / AGREE) ** 4)
+
+
+def columns_of(
+    followed: Followed,
+    z: np.ndarray,
+    errors: np.ndarray,
+    sizes: np.ndarray | None = None,
+    known: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sensitivities by finite differences over given steps, or over those to whose sides they agree best."""
+    problem = followed.problem
+    columns = np.zeros((*errors.shape, problem.size))
+    sizes = np.full(problem.size, np.nan) if sizes is None else sizes.copy()
+    first = 0 if known is None else known.shape[-1]
+    columns[..., :first] = 0.0 if known is None else known
+    told, wider = problem.unknowns.followed(z), _wider(problem.unknowns, z, problem.size)
+    probes = [which for which in problem.probes() if which[0] >= first and which[0] not in told]
+    given = [which for which in probes if np.isfinite(sizes[which[0]])]
+    found = _differences(followed, z, errors, given, [float(sizes[w[0]] * wider[w[0]]) for w in given])
+    for which, (change, _) in zip(given, found, strict=True):
+        _put(columns, which, change, followed.recording)
+    probes = [which for which in probes if not np.isfinite(sizes[which[0]])]
+    best = np.full(problem.size, -1.0)
+    for size in STEPS:
+        found = _differences(followed, z, errors, probes, [float(size * wider[w[0]]) for w in probes])
+        for which, (change, agreed) in zip(probes, found, strict=True):
+            if agreed > best[which[0]]:
+                best[which[0]], sizes[which] = agreed, size
+                _put(columns, which, change, followed.recording)
+        probes = [which for which in probes if best[which[0]] < SMOOTH]
+    follow_own(problem.unknowns, z, columns, followed.recording)
+    return columns, sizes
+
+
+def _wider(unknowns: Unknowns, z: np.ndarray, size: int) -> Float[np.ndarray, " size"]:
+    """How much wider each unknown is moved: own values, in sds of their population, as far as mu moves them."""
+    wider = np.ones(size)
+    for block in unknowns.varying:
+        slope = np.median(np.abs(block.shared_slopes(z)[0]))
+        wider[block.first_own : block.stop] = np.clip(slope, 1.0, MOST_WIDER) if np.isfinite(slope) else 1.0
+    return wider
+
+
+def _put(columns: np.ndarray, which: np.ndarray, change: np.ndarray, recording: np.ndarray) -> None:
+    """Unknowns of single recordings show in their own alone."""
+    if len(which) == 1:
+        columns[..., which[0]] = change
+        return
+    for r, i in enumerate(which):
+        mine = recording == r
+        columns[mine, :, :, i] = change[mine]
+
+
+def _differences(
+    followed: Followed, z: np.ndarray, errors: np.ndarray, probes: Sequence[np.ndarray], sizes: Sequence[float]
+) -> list[tuple[np.ndarray, float]]:
+    """Changes of the prediction for one sd of the unknowns of each probe, and the share that both sides agree on."""
+    problem = followed.problem
+    moved, steps = np.tile(z, (2 * len(probes), 1)), []
+    for k, (which, size) in enumerate(zip(probes, sizes, strict=True)):
+        steps.append(abs(problem.nudge(z, which, size)))
+        moved[2 * k, which] += steps[-1]
+        moved[2 * k + 1, which] -= steps[-1]
+    moved = np.maximum(moved, problem.floor)
+    found = followed.errors(moved) if len(probes) else []
+    out = []
+    for k, (which, step) in enumerate(zip(probes, steps, strict=True)):
+        up, down = (np.nan_to_num(x) for x in ((errors - found[2 * k]) / step, (found[2 * k + 1] - errors) / step))
+        if moved[2 * k + 1, which[0]] > z[which[0]] - 0.5 * step:  # at the wall there is one side only
+            out.append((up, 1.0))
+            continue
+        change = steady(up, down)
+        whole = float(((0.5 * (up + down)) ** 2).sum())
+        out.append((change, float((change**2).sum()) / whole if whole > 0 else 1.0))
+    return out
