@@ -1,5 +1,6 @@
 """Posteriors of one problem by several methods beside each other: against a reference, and what speaks for each."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -139,10 +140,13 @@ def compare(
 ) -> Comparison:
     """Rows of all runs; without a reference of the problem's own the best exact run that passes the gates is it.
 
-    `executor` holds several against it at a time (None: this process, one after the other).
+    `executor` holds several against it at a time (None: this process, one after the other). Raises ValueError for
+    a label that is there twice.
     """
+    twice = [label for label, number in Counter(run.label for run in runs).items() if number > 1]
+    if twice:
+        raise ValueError(f"runs labelled {', '.join(twice)} are there more than once; allowed: a label of its own each")
     known = {run.label: _described(run) for run in runs}
-    assert len(known) == len(runs), "labels are unique"
     chosen = reference is None
     reference = reference or _chosen(runs, known)
     held = [] if reference is None else [run for run in runs if _comparable(run, reference)]

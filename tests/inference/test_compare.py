@@ -101,6 +101,12 @@ def test_other_unknowns_are_not_compared(fits):
     assert "its unknowns are others" in rows[0].why + rows[1].why
 
 
+def test_runs_of_one_label_are_refused(fits):
+    run = Run("nuts", fits("nuts"), "exact")
+    with pytest.raises(ValueError, match="labelled nuts are there more than once; allowed: a label of its own each"):
+        compare([run, run])
+
+
 def test_without_an_exact_run_weights_decide(fits):
     found = compare([Run(n, fits(n), "approximate") for n in ("laplace", "prior")])
     laplace, prior = found.rows

@@ -213,6 +213,21 @@ def test_who_gains_little_beside_the_best_goes_no_further(fit):
     assert kept() == []
 
 
+def test_what_leads_psi_back_is_no_additions_merit(followed, problem, pool, monkeypatch):
+    """Looked for where psi is far off, an addition is held against what psi alone reaches from there."""
+    base, ground = (pair_of(followed, [z_of(problem, f * TRUTH)]) for f in (1.0, 0.5))
+    drag, held = named(pool, "linear_drag"), []
+    in_reach = search.in_reach
+    monkeypatch.setattr(search, "in_reach", lambda fits, *rest: held.append((fits, *rest)) or in_reach(fits, *rest))
+    promise = screening.Promise(drag, 100.0, {"coefficient": 0.001}, np.zeros(1))
+    search.refined(base, ground.fit, [promise], 2.0, quiet)
+    few = screening.some(ground.fit)
+    stayed = at(few.followed, base.fit.z).loss
+    (_, first, *_), ((sketch,), last, *_) = held
+    assert stayed < few.loss - 50 and first < few.loss - 50 and last <= stayed
+    assert last - sketch.loss < 10  # over where it began it gains all that psi does
+
+
 def test_chance_gains_little_where_nothing_is_missing(followed, problem, pool):
     base = pair_of(followed, [z_of(problem, TRUTH)])
     few = [c for c in pool if c.effect.name in ("linear_drag", "gravity_error", "friction_error")]

@@ -6,7 +6,7 @@ import numpy as np
 
 from det2stoc_bayes.mismatch.contact.fit import at
 from det2stoc_bayes.mismatch.contact.followed import Followed
-from det2stoc_bayes.mismatch.contact.top import topped
+from det2stoc_bayes.mismatch.contact.top import topped, widened
 from det2stoc_bayes.unknowns import Unknowns
 
 TRUTH = np.array([0.4, -0.3])
@@ -93,3 +93,13 @@ def test_nothing_is_looked_for_without_unknowns():
 
     fit = at(Fixed(0, 0.0), np.zeros(0))
     assert topped(fit, np.random.default_rng(0)) is fit
+
+
+def test_where_two_searches_end_apart_neither_is_surer_than_that():
+    fit = smooth_top(0)
+    once = widened(fit, fit.z - [0.3, 0.0])
+    added = once.covariance - fit.covariance
+    np.testing.assert_allclose(added, [[0.09, 0.0], [0.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(
+        widened(once, fit.z + [0.0, 0.4]).covariance - once.covariance, np.diag([0.0, 0.16]), atol=1e-12
+    )

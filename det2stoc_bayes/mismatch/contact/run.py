@@ -1,5 +1,7 @@
 """The diagnosis of a study in which bodies touch."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from det2stoc_bayes.engines.contacts import share_in_contact
@@ -13,6 +15,7 @@ from det2stoc_bayes.mismatch.contact.judge import Verdict, judged, topped_pair
 from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
+from det2stoc_bayes.mismatch.contact.top import widened
 from det2stoc_bayes.mismatch.contact.yardstick import Yardstick, yardstick
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
@@ -34,11 +37,12 @@ def touches(problem: Problem) -> bool:
 def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactComposer, Patch]:
     """What is to be written of a study, and the corrected simulator."""
     progress("fitting the believed model", 0, 1)
-    before, fine = fit_believed(problem)
+    first, fine = fit_believed(problem)
+    before = first
     progress("fitting the believed model", 1, 1)
     # Of a lone recording nothing is held out, and nothing can be proven.
-    alone = len(problem.simulator.study.recordings) == 1 and not problem.simulator.study.holdout
-    pool = [] if alone else candidates(before.fit.problem, elements_of(before.fit))
+    lone = len(problem.simulator.study.recordings) == 1 and not problem.simulator.study.holdout
+    pool = [] if lone else candidates(before.fit.problem, elements_of(before.fit))
     base, rounds = before, []
     rod: Yardstick | None = None  # of the base, where that is at its top
     while len(rounds) < MAX_EFFECTS and not (rod is not None and _settled(before, base, rod, progress)):
@@ -53,9 +57,10 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         base, rod = _measured(base, seed)
     progress("scoring held-out recordings", 0, 1)
     if rod is None:
-        found = base
+        alone = base is before
         base, rod = _measured(base, seed)
-        before = base if found is before else before
+        if alone:  # beyond its bumps psi may be led astray: where it was found before is as likely
+            before = base = replace(base, fit=widened(base.fit, first.fit.z))
     said = judged(before, rounds, fine, seed, base, rod)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
     composer = ContactComposer(said, when, seed)

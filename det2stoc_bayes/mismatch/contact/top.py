@@ -36,6 +36,12 @@ def topped(fit: ContactFit, random: np.random.Generator) -> ContactFit:
     return fit
 
 
+def widened(fit: ContactFit, z: Float[np.ndarray, " size"]) -> ContactFit:
+    """The hypothesis, its covariance widened by how far from it another search for its top has ended."""
+    apart = np.outer(fit.z - z, fit.z - z)
+    return replace(fit, rough=apart if fit.rough is None else fit.rough + apart)
+
+
 def bumps(fit: ContactFit, random: np.random.Generator) -> float:
     """How high the likelihood's bumps about a fit are, nats: by so much fits of one hypothesis may differ."""
     q = _quadratic(fit, random)
