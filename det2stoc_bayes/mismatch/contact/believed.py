@@ -39,12 +39,9 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
     told = [fit_followed(f.followed.hearing(heard), f.z, like=f) for f in fits]
     best, whole = min(zip(told, fits, strict=True), key=lambda pair: pair[0].loss)
     both = heard & telling(at(whole.followed, best.z))
-    fit = (
-        best
-        if (both == heard).all() or not both.any()
-        else fit_followed(best.followed.hearing(both), best.z, like=best)
-    )
-    return paired(climbed(fit), held), finer
+    if both.any() and (both != heard).any():
+        best = fit_followed(best.followed.hearing(both), best.z, like=best)
+    return paired(climbed(best), held), finer
 
 
 def searched(followed: Followed) -> Float[np.ndarray, " size"]:

@@ -38,16 +38,14 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     """What is to be written of a study, and the corrected simulator."""
     progress("fitting the believed model", 0, 1)
     first, fine = fit_believed(problem)
-    before = first
     progress("fitting the believed model", 1, 1)
     # Of a lone recording nothing is held out, and nothing can be proven.
     lone = len(problem.simulator.study.recordings) == 1 and not problem.simulator.study.holdout
-    pool = [] if lone else candidates(before.fit.problem, elements_of(before.fit))
-    base, rounds = before, []
+    pool = [] if lone else candidates(first.fit.problem, elements_of(first.fit))
+    base, rounds = first, []
     rod: Yardstick | None = None  # of the base, where that is at its top
-    while len(rounds) < MAX_EFFECTS and not (rod is not None and _settled(before, base, rod, progress)):
+    while len(rounds) < MAX_EFFECTS and not (rod is not None and _settled(rounds[0].base, base, rod, progress)):
         one = look(base, pool, progress, seed) if pool else Round(base, (), (), None)
-        before = one.base if not rounds else before
         rounds.append(one)
         base = one.taken or one.base
         rod = None
@@ -56,6 +54,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         progress("measuring what is left", 0, 1)
         base, rod = _measured(base, seed)
     progress("scoring held-out recordings", 0, 1)
+    before = rounds[0].base
     if rod is None:
         alone = base is before
         base, rod = _measured(base, seed)
