@@ -68,14 +68,17 @@ class Linearization:
 
 
 def start_point(
-    problem: Problem, z: Float[np.ndarray, " size"] | None = None, shorter: Linearization | None = None
+    problem: Problem,
+    z: Float[np.ndarray, " size"] | None = None,
+    shorter: Linearization | None = None,
+    seed: int = 0,
 ) -> Point:
     """The prior's median and the recorded starts, or the likeliest where some position was not recorded.
 
-    `shorter` is the same hypothesis on shorter stretches, whose starts are tried too.
+    `shorter` is the same hypothesis on shorter stretches, whose starts are tried too; `seed` is of the others.
     """
     z = np.zeros(problem.size) if z is None else np.asarray(z, float)
-    return Point(z, search_starts(problem, z, _linearize_starts, shorter))
+    return Point(z, search_starts(problem, z, _linearize_starts, shorter, seed))
 
 
 def _linearize_starts(points: Sequence[tuple[Problem, np.ndarray, Start]]) -> "list[Linearization | None]":

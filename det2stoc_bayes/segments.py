@@ -83,6 +83,11 @@ class Segments:
         rows = [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
         return np.concatenate([own[min(every // 2, len(own) - 1) :: every] for own in rows])
 
+    def every(self, nth: int) -> Int[np.ndarray, " rows"]:
+        """Of each recording the first segment, and every nth after it: those that so much longer ones begin with."""
+        rows = [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
+        return np.concatenate([own[::nth] for own in rows])
+
     def steps(self, timestep: float) -> Int[np.ndarray, " segments"]:
         """Simulation steps that reach each segment's last sample."""
         return np.maximum(np.ceil((self.time[:, -1] - self.time[:, 0]) / timestep - TIME_SLACK).astype(int), 1)

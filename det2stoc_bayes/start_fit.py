@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.linearization import Linearization, Point, linearize, start_point
@@ -15,6 +15,10 @@ from det2stoc_bayes.problem import Problem
 NUM_STEPS = 6
 LEAST_GAIN = 1e-2  # of whitened squared residual: what promises less is not moved
 SHORTER = 0.3  # of a step that is no improvement
+MOST_SEARCHES = 6  # with other starts, each where segments are told so many times worse than a quarter of them
+WORSE = 3.0
+MOST_VAIN = 2  # of these searches, which end after them
+VALLEY = 0.5  # of the misfit: what another start leaves more of is in no better valley
 LARGEST_STEP = 10.0  # prior sds of a psi that varies, in one step
 
 
@@ -40,14 +44,38 @@ def fit_starts(problem: Problem, z: Float[np.ndarray, " size"]) -> Linearization
 
 
 def searched_again(fit: Fit, **options: Any) -> Fit:
-    """With starts that were not recorded searched under the psi that was fitted; under another some may go astray.
+    """With starts that were not recorded searched anew, under the psi that was fitted, where a segment is told ill.
 
     The fit itself where it leaves only chance, or where that does not better it; `options` are `fit_many`'s.
     """
-    if by_chance(fit) or fit.problem.guess.seen.all():
+    problem = fit.problem
+    if by_chance(fit) or problem.guess.seen.all():
         return fit
-    again = fit_many([(fit.problem, start_point(fit.problem, fit.point.z, fit.linear))], **options)[0]
+    start = Start(*(np.array(getattr(fit.point.start, a)) for a in ("qpos", "qvel", "act")))
+    misfit, moved, vain = fit.linear.gram()[2], False, 0
+    for seed in range(1, 1 + MOST_SEARCHES):
+        rows = _astray(problem, misfit)
+        if not len(rows):
+            break
+        some = problem.on(problem.segments.only(rows))
+        point = start_point(some, problem.carry(fit.point.z, some), fit.linear, seed)
+        lin = linearize([(some, point)], unknowns="own")[0]
+        found = np.full(len(rows), np.inf) if lin is None else lin.gram()[2]
+        better = found < VALLEY * misfit[rows]
+        moved, vain = moved or bool(better.any()), vain + (not better.any())
+        if vain == MOST_VAIN:
+            break
+        misfit[rows] = np.where(better, found, misfit[rows])
+        for a in ("qpos", "qvel", "act"):
+            getattr(start, a)[rows[better]] = getattr(point.start, a)[better]
+    again = fit_many([(problem, Point(fit.point.z, start))], **options)[0] if moved else None
     return fit if again is None or again.noise_inflation > fit.noise_inflation else again
+
+
+def _astray(problem: Problem, misfit: Float[np.ndarray, " segments"]) -> Int[np.ndarray, " rows"]:
+    """Segments that are told much worse than the better ones, as from starts in another valley."""
+    each = misfit / np.maximum(problem.segments.observed.sum((1, 2)), 1)
+    return np.flatnonzero(each > WORSE * max(1.0, float(np.quantile(each, 0.25))))
 
 
 def _own_step(lin: Linearization) -> Float[np.ndarray, " size"]:

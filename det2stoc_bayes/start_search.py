@@ -38,17 +38,18 @@ def search_starts(
     z: Float[np.ndarray, " size"],
     linearize: Linearize,
     shorter: "det2stoc_bayes.linearization.Linearization | None" = None,
+    seed: int = 0,
 ) -> Start:
     """The guessed starts where every position was recorded; elsewhere starts that explain the first samples best.
 
     `linearize(requests)` takes (problem, z, start) triples and gives their linearizations in the starts. Starts of a
     fit to shorter stretches, or to the same, join the last ones: long stretches are followed by no other while psi is
-    far off.
+    far off. Of another `seed`, others are tried.
     """
     guess = problem.guess
     if guess.seen.all():
         return guess.start
-    starts = [problem.moved(guess.start, change) for change in _spread(problem)]
+    starts = [problem.moved(guess.start, change) for change in _spread(problem, seed)]
     longest, known = problem.segments.time.shape[1], 0 if shorter is None else shorter.problem.segments.time.shape[1]
     doublings = max(int(np.ceil(np.log2(longest / STAGES[-1][0]))), 0)
     beyond = [(STAGES[-1][0] * 2 ** (k + 1), 1, STEPS_BEYOND) for k in range(doublings)]
@@ -79,7 +80,7 @@ def _beginning(problem: Problem, samples: int) -> Problem:
     return replace(problem, segments=replace(whole, time=whole.time[:, :n], values=whole.values[:, :n]))
 
 
-def _spread(problem: Problem) -> Float[np.ndarray, "starts segments states"]:
+def _spread(problem: Problem, seed: int) -> Float[np.ndarray, "starts segments states"]:
     """Changes of the guessed starts, none first: positions that were not recorded, evenly over what they can be.
 
     So are speeds of orientations, by which a turning body looks quite different within a few samples.
@@ -90,7 +91,7 @@ def _spread(problem: Problem) -> Float[np.ndarray, "starts segments states"]:
     unseen += [(v, -SPINS * guess.scale[v], SPINS * guess.scale[v]) for v in spins]
     count = NUM_TURNED if spins else NUM_STARTS
     change = np.zeros((count, problem.segments.count, 2 * model.nv))
-    draws = qmc.Sobol(len(unseen), rng=0).random(count)
+    draws = qmc.Sobol(len(unseen), rng=seed).random(count)
     for column, (place, low, high) in zip(draws.T, unseen, strict=True):
         change[1:, :, place] = (low + (high - low) * column[1:])[:, None]
     return change

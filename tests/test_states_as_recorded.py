@@ -6,11 +6,14 @@ import pytest
 from conftest import FREE, make_study, model_xml
 from simulated import PENDULUM, noise_table, pose, recordings
 
+from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.engines.model_names import model_names
 from det2stoc_bayes.identifiability import check
-from det2stoc_bayes.linearization import start_point
+from det2stoc_bayes.linearization import Point, start_point
 from det2stoc_bayes.map import find_map
 from det2stoc_bayes.mismatch.horizon import climb
+from det2stoc_bayes.optimize import fit_many
+from det2stoc_bayes.start_fit import searched_again
 
 INERTIA = """
 [psi.inertia]
@@ -128,6 +131,20 @@ def test_a_turning_body_seen_by_one_of_its_points(tmp_path):
     spins = found.point.start.qvel[:, 3:]  # about the mark's own axis the ball may stand anyhow
     seen, true = (np.stack([x[:, 0], np.hypot(x[:, 1], x[:, 2])], 1) for x in (spins, np.array(turns)))
     np.testing.assert_allclose(seen, true, atol=0.3)  # measured: 0.1
+
+
+def test_a_segment_whose_start_is_in_another_valley_is_searched_anew(tmp_path):
+    starts = [([angle], [speed]) for angle, speed in ((1.0, 0.0), (-2.0, 3.0), (0.5, -4.0), (-1.0, 2.0))]
+    made = sensed(IMU, starts, 5 * np.arange(80), np.repeat([0.01, 0.05], 3))
+    problem = pose(make_study(tmp_path / "imu", IMU, IMU_TOML, made))
+    found = find_map(problem)
+    astray = Start(*(np.array(getattr(found.point.start, a)) for a in ("qpos", "qvel", "act")))
+    astray.qpos[0], astray.qvel[0] = astray.qpos[0] + 2.5, -5.0
+    (lost,) = fit_many([(found.problem, Point(found.point.z, astray))], max_iterations=0)
+    assert lost.noise_inflation > 100  # measured: 14205
+    again = searched_again(lost)
+    assert again.noise_inflation < 1.15  # measured: 0.998
+    assert searched_again(again) is again
 
 
 @pytest.mark.long

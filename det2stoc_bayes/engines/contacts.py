@@ -34,7 +34,7 @@ def touching(
 def share_in_contact(problem: "Problem") -> float:
     """Share of states in the recordings' short predictions in which something touches; 0 where nothing can."""
     model = problem.simulator.model
-    if not _may_touch(model):
+    if not may_touch(model):
         return 0.0
     qpos = predicted_states(problem, np.zeros(problem.size)).reshape(-1, model.nq)
     chosen = qpos[:: max(1, len(qpos) // MOST)]
@@ -90,7 +90,8 @@ def contact_elements(model: mujoco.MjModel, pairs: list[tuple[int, int]]) -> lis
     return out
 
 
-def _may_touch(model: mujoco.MjModel) -> bool:
+def may_touch(model: mujoco.MjModel) -> bool:
+    """Whether any two geoms could touch."""
     kinds = model.geom_contype[:, None] & model.geom_conaffinity[None, :]
     return bool(model.npair or (kinds.any() and model.ngeom > 1)) and not bool(
         model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)

@@ -8,7 +8,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
+from det2stoc_bayes.cores import usable_cores
 from det2stoc_bayes.engines.base import Counter, Request, Trajectory
+from det2stoc_bayes.engines.contacts import may_touch
 from det2stoc_bayes.engines.mujoco_chunk import Chunk, num_before
 from det2stoc_bayes.engines.mujoco_steps import is_stepped
 from det2stoc_bayes.engines.quiet import QUIET
@@ -25,8 +27,8 @@ class MujocoC:
     name = "c"
 
     def __init__(self, model: mujoco.MjModel, num_threads: int = 0):
-        self._models: dict[tuple[float | None, str | None], mujoco.MjModel] = {(None, None): _without_autoreset(model)}
-        self._threads = num_threads
+        self._models: dict[tuple[float | None, str | None], mujoco.MjModel] = {(None, None): _prepared(model)}
+        self._threads = num_threads or usable_cores()
         self.counter = Counter()
 
     def rollout(self, request: Request) -> Float[np.ndarray, "sims samples columns"]:
@@ -103,8 +105,10 @@ def _only(request: Request, rows: Int[np.ndarray, " rows"]) -> Request:
     return replace(request, which=request.which[rows], start=request.start[rows], fields=fields, effects=tuple(effects))
 
 
-def _without_autoreset(model: mujoco.MjModel) -> mujoco.MjModel:
+def _prepared(model: mujoco.MjModel) -> mujoco.MjModel:
     # A simulation that diverges must stay diverged, not start again from qpos0.
     model = copy.copy(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    if not may_touch(model):  # to find so at every step takes a tenth of it
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     return model

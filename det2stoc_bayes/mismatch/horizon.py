@@ -14,6 +14,7 @@ from det2stoc_bayes.start_fit import fit_starts, searched_again
 SHORTEST = 20  # samples
 GROWTH, LEAST_GROWTH = 4, 2  # from one rung to the next; and from the last one to whole recordings
 AMPLE = 3000  # samples in short segments: under a misfit more of them cost time and decide nothing
+SEARCHED = 600  # samples up to which dozens of starts are tried for every segment
 FAR = 100.0  # noise inflation from which on a search holds a hypothesis against others where it stands
 LARGEST_ERROR = 0.2  # of a column's spread: beyond it a linearization says little
 
@@ -28,8 +29,10 @@ def ladder(problem: Problem) -> Iterator[int | None]:
     yield None
 
 
-def climb(problem: Problem, z: np.ndarray | None = None, reached: Fit | None = None) -> Fit | None:
-    """The fit at the longest horizon whose error is still small, from short segments up, or beyond one `reached`.
+def climb(
+    problem: Problem, z: np.ndarray | None = None, reached: Fit | None = None, *, until: Segments | None = None
+) -> Fit | None:
+    """The fit at the longest horizon (up to `until`) whose error is still small, from short segments up or a `reached`.
 
     Of many short segments some lead the way. All are fitted in the end, or, where a misfit stays, the telling ones.
     """
@@ -40,9 +43,11 @@ def climb(problem: Problem, z: np.ndarray | None = None, reached: Fit | None = N
         if reached is not None and not _longer(every, reached.problem.segments):
             stretches = every
             continue
-        some = every if n is None or not _ample(problem, every) else every.only(every.evenly(AMPLE))
+        if until is not None and _longer(every, until):
+            break
+        some = every if n is None else _leading(problem, every)
         fit = _on(problem, some, z, best)
-        if fit is None or (best is not None and relative_error(fit) > LARGEST_ERROR):
+        if fit is None or (best is not None and _lost(fit)):
             break
         best, stretches, z = fit, every, fit.point.z
     if best is None:
@@ -53,14 +58,25 @@ def climb(problem: Problem, z: np.ndarray | None = None, reached: Fit | None = N
     return best if best is reached else searched_again(best, tolerance=0.5)
 
 
-def _ample(problem: Problem, segments: Segments) -> bool:
-    """Whether some segments will do: not where a position was not recorded, since longer ones try all their starts."""
-    return bool(problem.guess.seen.all()) and int(segments.lengths.sum()) > AMPLE
+def _lost(fit: Fit) -> bool:
+    """Whether stretches are too long to linearize about: under an error too large, or where a search finds no end."""
+    astray = fit.end != "converged" and fit.noise_inflation >= FAR
+    return astray or relative_error(fit) > LARGEST_ERROR
+
+
+def _leading(problem: Problem, segments: Segments) -> Segments:
+    """As many segments as lead the way to longer ones: of searched starts those that longer ones begin with."""
+    num_samples = int(segments.lengths.sum())
+    if problem.guess.seen.all():
+        return segments.only(segments.evenly(AMPLE)) if num_samples > AMPLE else segments
+    return segments.only(segments.every(GROWTH)) if num_samples > SEARCHED else segments
 
 
 def _telling(fit: Fit, every: Segments) -> Segments:
     """Half of what is ample evenly spread, and then what a fit tells worst of all segments: most of its misfit."""
     problem, rows = fit.problem.on(every), every.evenly(AMPLE / 2)
+    if int(every.lengths.sum()) <= AMPLE:
+        return every
     lin = fit_starts(problem, fit.problem.carry(fit.point.z, problem))
     if lin is None:
         return every.only(every.evenly(AMPLE))

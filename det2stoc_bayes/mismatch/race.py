@@ -110,7 +110,7 @@ def _led_on(base: Fit, fit: Fit, lead: Screened, share: float) -> Fit:
     if fit.noise_inflation < MODEL_ERROR or gain(base, fit, share) > KEPT * lead.log_evidence:
         return fit
     z = np.concatenate([base.point.z, fit.point.z[len(base.point.z) :]])
-    other, first = climb(fit.problem, z), len(base.problem.effects)
+    other, first = climb(fit.problem, z, until=fit.problem.segments), len(base.problem.effects)
     if other is not None and other.problem.segments.key != fit.problem.segments.key:
         point = start_point(fit.problem, other.point.z, fit.linear)
         other = fit_many([(fit.problem, point)], tolerance=tolerance(fit))[0]
