@@ -59,9 +59,12 @@ def climb(
 
 
 def _lost(fit: Fit) -> bool:
-    """Whether stretches are too long to linearize about: under an error too large, or where a search finds no end."""
+    """Whether stretches are too long to linearize about.
+
+    Under an error too large; or where starts are searched for, and one that ended far away says little of psi.
+    """
     astray = fit.end != "converged" and fit.noise_inflation >= FAR
-    return astray or relative_error(fit) > LARGEST_ERROR
+    return (astray and not fit.problem.guess.seen.all()) or relative_error(fit) > LARGEST_ERROR
 
 
 def _leading(problem: Problem, segments: Segments) -> Segments:
