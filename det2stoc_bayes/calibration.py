@@ -161,6 +161,8 @@ class Calibration:
     trained_once: bool
     unknowns: tuple[Unknown, ...]
     p_tarp: float  # corrected for the number of all tests
+    least_shift: float | None  # of posteriors that so many replications would find in four of five cases, in their sds
+    least_narrowness: float | None  # times that they are too narrow, likewise
     ranks: Int[np.ndarray, "replications size"]
     credibility: Float[np.ndarray, " replications"]
     num_draws: int
@@ -194,6 +196,15 @@ class Calibration:
         return ""
 
     @property
+    def power(self) -> str:
+        """How wrong posteriors must be for so many replications to tell."""
+        found = {"shifted by {} of their sds": self.least_shift, "{} times too narrow": self.least_narrowness}
+        told = [words.format(f"{size:.2g}") for words, size in found.items() if size is not None]
+        if not told:
+            return "So few replications would not tell any posteriors that are wrong."
+        return f"In four of five cases they would tell posteriors that are {' or '.join(told)}."
+
+    @property
     def verdict(self) -> str:
         """One sentence."""
         n, of = len(self.ranks), f"{self.method} on {self.problem}"
@@ -202,7 +213,7 @@ class Calibration:
         least = min([self.p_tarp, *(min(u.p_chi2, u.p_uniform) for u in self.unknowns)])
         if self.calibrated:
             told = f"no test of {n} replications rejects it at {LEVEL:.0%} (least p, corrected: {least:.2g})"
-            return f"{of} is calibrated: {told}."
+            return f"{of} is calibrated: {told}. {self.power}"
         wrong = [f"{u.name}'s posteriors are {u.shape}" for u in self.unknowns if u.rejected]
         wrong += ["its credible regions of all unknowns together miss their levels"] if self.p_tarp < LEVEL else []
         return f"{of} is not calibrated: {'; '.join(wrong)} (p = {least:.2g}, corrected, {n} replications)."
@@ -234,8 +245,9 @@ def judge(
     rows = [_unknown(names[j], float(p[j]), float(p[size + j]), shares[:, j], float(sds[j])) for j in range(size)]
     few = sum(min(r.effective, len(r.draws)) < NUM_DRAWS for r in fitted)
     simulations, seconds = sum(r.simulations for r in fitted), sum(r.seconds for r in fitted)
+    least = coverage.detectable(len(fitted), LEVEL / len(p), random)
     return Calibration(
-        problem, method, trained_once, tuple(rows), float(p[-1]), ranks, credibility, num_draws, few, failed,
+        problem, method, trained_once, tuple(rows), float(p[-1]), *least, ranks, credibility, num_draws, few, failed,
         simulations, seconds, seed,
     )  # fmt: skip
 
@@ -268,6 +280,8 @@ def to_json(found: Calibration) -> dict[str, Any]:
         "calibrated": found.calibrated,
         "verdict": found.verdict,
         "level": LEVEL,
+        "least_shift": found.least_shift,
+        "least_narrowness": found.least_narrowness,
         "num_replications": len(found.ranks) + len(found.failed),
         "failed": list(found.failed),
         "num_draws": found.num_draws,

@@ -1,5 +1,7 @@
 """Whether posteriors of many simulated data sets hold their truths as often as they say: plain-array functions."""
 
+from bisect import bisect_left
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
@@ -8,6 +10,9 @@ Truths = Float[np.ndarray, "replications size"]
 Draws = Float[np.ndarray, "replications draws size"]
 NUM_BINS = 20
 NUM_SIMULATED = 2000
+POWER, NUM_REPEATED = 0.8, 400
+SHIFTS = np.round(np.geomspace(0.02, 5.0, 80), 3)  # sds of a posterior
+FACTORS = np.round(np.geomspace(1.02, 20.0, 80), 3)  # times that posteriors are too narrow
 
 
 def ranks(draws: Draws, truth: Truths) -> Int[np.ndarray, "replications size"]:
@@ -39,6 +44,29 @@ def fractions(
 def uniform_p_values(fractions: Float[np.ndarray, "replications size"]) -> Float[np.ndarray, " size"]:
     """p-value of each column under uniformity (Kolmogorov and Smirnov)."""
     return np.array([stats.kstest(column, "uniform").pvalue for column in fractions.T])
+
+
+def detectable(count: int, p_value: float, random: np.random.Generator) -> tuple[float | None, float | None]:
+    """The least shift (posterior sds) and narrowness (times) of normal posteriors that a test of uniformity finds.
+
+    Kolmogorov and Smirnov's, at this p-value, of so many replications, in POWER of all cases; None where none is found.
+    """
+    truth = random.standard_normal((NUM_REPEATED, count))
+    needed = float(stats.kstwo.isf(p_value, count))
+
+    def found(wrong: Float[np.ndarray, "cases count"]) -> bool:
+        return bool((_distance(stats.norm.cdf(wrong)) > needed).mean() >= POWER)
+
+    shift = bisect_left(SHIFTS, True, key=lambda size: found(truth + size))
+    factor = bisect_left(FACTORS, True, key=lambda size: found(truth * size))
+    return (*SHIFTS.tolist(), None)[shift], (*FACTORS.tolist(), None)[factor]
+
+
+def _distance(values: Float[np.ndarray, "cases count"]) -> Float[np.ndarray, " cases"]:
+    """Largest distance of each row's empirical distribution from the uniform one."""
+    order, count = np.sort(values, 1), values.shape[1]
+    above, below = np.arange(1, count + 1) / count - order, order - np.arange(count) / count
+    return np.maximum(above, below).max(1)
 
 
 def holm(p_values: Float[np.ndarray, " tests"]) -> Float[np.ndarray, " tests"]:

@@ -2,8 +2,17 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from det2stoc_bayes.coverage import coverage_p_value, credibilities, expected_coverage, rank_p_values, ranks
+from det2stoc_bayes.coverage import (
+    coverage_p_value,
+    credibilities,
+    detectable,
+    expected_coverage,
+    rank_p_values,
+    ranks,
+    uniform_p_values,
+)
 
 REPLICATIONS, DRAWS = 500, 199
 
@@ -48,3 +57,17 @@ def test_draws_that_are_all_equal_have_ranks_all_the_same():
     draws, truth = np.zeros((40, 9, 1)), np.linspace(-1, 1, 40)[:, None]
     assert set(ranks(draws, truth)[:, 0]) == {0, 9}
     assert rank_p_values(ranks(draws, truth), 9)[0] < 1e-6
+
+
+@pytest.mark.parametrize("count", [30, 100])
+def test_what_so_many_replications_detect_is_found_in_four_of_five_cases(count):
+    shift, factor = detectable(count, 0.002, np.random.default_rng(0))
+    truth = np.random.default_rng(1).standard_normal((200, count))
+    for wrong in (truth + shift, truth * factor):
+        found = np.mean(uniform_p_values(stats.norm.cdf(wrong).T) < 0.002)
+        assert found == pytest.approx(0.8, abs=4 * np.sqrt(0.16 / 200))  # measured: 0.77 to 0.85
+
+
+def test_few_replications_detect_no_narrowness():
+    shift, factor = detectable(5, 0.002, np.random.default_rng(0))
+    assert factor is None and shift > 2
