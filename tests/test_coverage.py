@@ -62,6 +62,7 @@ def test_draws_that_are_all_equal_have_ranks_all_the_same():
 @pytest.mark.parametrize("count", [30, 100])
 def test_what_so_many_replications_detect_is_found_in_four_of_five_cases(count):
     shift, factor = detectable(count, 0.002, np.random.default_rng(0))
+    assert shift is not None and factor is not None
     truth = np.random.default_rng(1).standard_normal((200, count))
     for wrong in (truth + shift, truth * factor):
         found = np.mean(uniform_p_values(stats.norm.cdf(wrong).T) < 0.002)
@@ -70,4 +71,4 @@ def test_what_so_many_replications_detect_is_found_in_four_of_five_cases(count):
 
 def test_few_replications_detect_no_narrowness():
     shift, factor = detectable(5, 0.002, np.random.default_rng(0))
-    assert factor is None and shift > 2
+    assert factor is None and shift is not None and shift > 2
