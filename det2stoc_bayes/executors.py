@@ -19,7 +19,8 @@ from multiprocessing import active_children, connection, get_context, parent_pro
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
-from det2stoc_bayes.cores import usable_cores
+from joblib import cpu_count
+
 from det2stoc_bayes.errors import Det2StocError
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def workers(
             progress(f"waiting for workers of {cluster}", 1, 1)
             yield client.get_executor()
         return
-    jobs = jobs or usable_cores()
+    jobs = jobs or cpu_count()
     jobs = jobs if most is None else min(jobs, most)
     if jobs <= 1:
         yield Here()

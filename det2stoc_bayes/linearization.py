@@ -75,7 +75,7 @@ def start_point(
 ) -> Point:
     """The prior's median and the recorded starts, or the likeliest where some position was not recorded.
 
-    `shorter` is the same hypothesis on shorter stretches, whose starts are tried too; `seed` is of the others.
+    `shorter` is the same hypothesis on shorter stretches, whose starts are tried too; with another `seed` others are.
     """
     z = np.zeros(problem.size) if z is None else np.asarray(z, float)
     return Point(z, search_starts(problem, z, _linearize_starts, shorter, seed))

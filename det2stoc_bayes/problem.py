@@ -106,6 +106,13 @@ class Problem:
         """The same samples under another hypothesis."""
         return replace(self, effects=tuple(effects))
 
+    def only(self, rows: Int[np.ndarray, " rows"]) -> "Problem":
+        """Some of its segments, everything else as it is."""
+        segments, finer = self.segments.only(rows), self.finer
+        if finer is not None:
+            finer = replace(finer, shift=finer.shift[rows, : segments.time.shape[1]])
+        return replace(self, segments=segments, guess=self.guess[rows], finer=finer)
+
     def on(self, segments: Segments) -> "Problem":
         """The same hypothesis on other samples, where a finer integration is used in full."""
         options = {"timestep": self.timestep, "integrator": self.integrator}

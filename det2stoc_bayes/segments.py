@@ -83,8 +83,8 @@ class Segments:
         rows = [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
         return np.concatenate([own[min(every // 2, len(own) - 1) :: every] for own in rows])
 
-    def every(self, nth: int) -> Int[np.ndarray, " rows"]:
-        """Of each recording the first segment, and every nth after it: those that so much longer ones begin with."""
+    def beginnings(self, nth: int) -> Int[np.ndarray, " rows"]:
+        """Of each recording the first segment and every nth after it: with these so much longer ones begin."""
         rows = [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
         return np.concatenate([own[::nth] for own in rows])
 

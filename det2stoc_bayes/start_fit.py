@@ -15,9 +15,9 @@ from det2stoc_bayes.problem import Problem
 NUM_STEPS = 6
 LEAST_GAIN = 1e-2  # of whitened squared residual: what promises less is not moved
 SHORTER = 0.3  # of a step that is no improvement
-MOST_SEARCHES = 6  # with other starts, each where segments are told so many times worse than a quarter of them
-WORSE = 3.0
-MOST_VAIN = 2  # of these searches, which end after them
+MOST_SEARCHES = 6  # with other starts each
+MOST_VAIN = 2  # searches that better no segment: then no more are made
+WORSE, ENOUGH = 3.0, 4  # times the misfit of the better quarter of segments, if these are so many, to be searched again
 VALLEY = 0.5  # of the misfit: what another start leaves more of is in no better valley
 LARGEST_STEP = 10.0  # prior sds of a psi that varies, in one step
 
@@ -48,34 +48,35 @@ def searched_again(fit: Fit, **options: Any) -> Fit:
 
     The fit itself where it leaves only chance, or where that does not better it; `options` are `fit_many`'s.
     """
-    problem = fit.problem
+    problem, start, moved, vain = fit.problem, fit.point.start, False, 0
     if by_chance(fit) or problem.guess.seen.all():
         return fit
-    start = Start(*(np.array(getattr(fit.point.start, a)) for a in ("qpos", "qvel", "act")))
-    misfit, moved, vain = fit.linear.gram()[2], False, 0
+    height = (fit.linear.stacked**2).sum((1, 2))
     for seed in range(1, 1 + MOST_SEARCHES):
-        rows = _astray(problem, misfit)
-        if not len(rows):
+        rows = _astray(problem, height)
+        if not len(rows) or vain == MOST_VAIN:
             break
-        some = problem.on(problem.segments.only(rows))
-        point = start_point(some, problem.carry(fit.point.z, some), fit.linear, seed)
+        some = problem.only(rows)
+        point = start_point(some, fit.point.z, fit.linear, seed)
         lin = linearize([(some, point)], unknowns="own")[0]
-        found = np.full(len(rows), np.inf) if lin is None else lin.gram()[2]
-        better = found < VALLEY * misfit[rows]
+        found, better = height.copy(), np.zeros(len(height), bool)
+        found[rows] = np.inf if lin is None else (lin.stacked**2).sum((1, 2))
+        better[rows] = found[rows] < VALLEY * height[rows]
+        whole = Start(*(np.array(a) for a in (start.qpos, start.qvel, start.act)))
+        whole.qpos[rows], whole.qvel[rows] = point.start.qpos, point.start.qvel
+        start, height = start.taking(whole, better), np.where(better, found, height)
         moved, vain = moved or bool(better.any()), vain + (not better.any())
-        if vain == MOST_VAIN:
-            break
-        misfit[rows] = np.where(better, found, misfit[rows])
-        for a in ("qpos", "qvel", "act"):
-            getattr(start, a)[rows[better]] = getattr(point.start, a)[better]
     again = fit_many([(problem, Point(fit.point.z, start))], **options)[0] if moved else None
     return fit if again is None or again.noise_inflation > fit.noise_inflation else again
 
 
-def _astray(problem: Problem, misfit: Float[np.ndarray, " segments"]) -> Int[np.ndarray, " rows"]:
-    """Segments that are told much worse than the better ones, as from starts in another valley."""
-    each = misfit / np.maximum(problem.segments.observed.sum((1, 2)), 1)
-    return np.flatnonzero(each > WORSE * max(1.0, float(np.quantile(each, 0.25))))
+def _astray(problem: Problem, height: Float[np.ndarray, " segments"]) -> Int[np.ndarray, " rows"]:
+    """Segments told much worse than the better ones (of few: than by chance), as from starts in another valley."""
+    values = problem.segments.observed.sum((1, 2))
+    each = height / np.maximum(values, 1) / problem.measurement.mean_square
+    told = each[values > 0]
+    usual = float(np.quantile(told, 0.25, method="lower")) if len(told) >= ENOUGH else 1.0
+    return np.flatnonzero((values > 0) & (each > WORSE * max(usual, 1.0)))
 
 
 def _own_step(lin: Linearization) -> Float[np.ndarray, " size"]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.engines.rotations import relative_rotation, rotated
@@ -30,6 +30,9 @@ class StartGuess:
     prior_sd: Float[np.ndarray, "segments states"]
     scale: Float[np.ndarray, " states"]  # typical magnitude of each coordinate's variation
     seen: Bool[np.ndarray, " positions"]  # positions (tangent) that some column records
+
+    def __getitem__(self, rows: Int[np.ndarray, " rows"]) -> "StartGuess":
+        return StartGuess(self.start[rows], self.prior_sd[rows], self.scale, self.seen)
 
 
 def guess_starts(model: "mujoco.MjModel", segments: Segments) -> StartGuess:

@@ -71,6 +71,14 @@ def test_segments_are_spread_over_each_recording(num_samples, rows):
     assert segments.evenly(num_samples).tolist() == list(rows)
 
 
+def test_longer_segments_begin_with_some_of_the_shorter():
+    records = [record("a", np.arange(320)), record("b", np.arange(160))]
+    short, long = cut(records, 20), cut(records, 80)
+    some = short.only(short.beginnings(4))
+    assert some.first.tolist() == long.first.tolist() and some.recording.tolist() == long.recording.tolist()
+    assert short.beginnings(100).tolist() == [0, 16]  # one of each recording at least
+
+
 def test_dropped_samples_are_not_observed():
     values = np.array([[1.0], [np.nan], [3.0]])
     segments = cut([record("a", [0, 1, 2], values=values)])

@@ -133,17 +133,19 @@ def test_a_turning_body_seen_by_one_of_its_points(tmp_path):
     np.testing.assert_allclose(seen, true, atol=0.3)  # measured: 0.1
 
 
-def test_a_segment_whose_start_is_in_another_valley_is_searched_anew(tmp_path):
-    starts = [([angle], [speed]) for angle, speed in ((1.0, 0.0), (-2.0, 3.0), (0.5, -4.0), (-1.0, 2.0))]
+@pytest.mark.parametrize(("astray", "count"), [(1, 4), (1, 1), (2, 3), (3, 4)])
+def test_segments_whose_starts_are_in_another_valley_are_searched_anew(tmp_path, astray, count):
+    starts = [([angle], [speed]) for angle, speed in ((1.0, 0.0), (-2.0, 3.0), (0.5, -4.0), (-1.0, 2.0))][:count]
     made = sensed(IMU, starts, 5 * np.arange(80), np.repeat([0.01, 0.05], 3))
-    problem = pose(make_study(tmp_path / "imu", IMU, IMU_TOML, made))
-    found = find_map(problem)
-    astray = Start(*(np.array(getattr(found.point.start, a)) for a in ("qpos", "qvel", "act")))
-    astray.qpos[0], astray.qvel[0] = astray.qpos[0] + 2.5, -5.0
-    (lost,) = fit_many([(found.problem, Point(found.point.z, astray))], max_iterations=0)
+    found = find_map(pose(make_study(tmp_path / "imu", IMU, IMU_TOML, made)))
+    assert found.noise_inflation < 1.15  # measured: 0.98 to 1.03
+    elsewhere = Start(*(np.array(getattr(found.point.start, a)) for a in ("qpos", "qvel", "act")))
+    elsewhere.qpos[:astray] += 2.5
+    elsewhere.qvel[:astray] = -5.0
+    (lost,) = fit_many([(found.problem, Point(found.point.z, elsewhere))], max_iterations=0)
     assert lost.noise_inflation > 100  # measured: 14205
     again = searched_again(lost)
-    assert again.noise_inflation < 1.15  # measured: 0.998
+    assert again.noise_inflation < 1.15  # measured: 0.98 to 1.03
     assert searched_again(again) is again
 
 

@@ -10,11 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from joblib import cpu_count
+
 from det2stoc_bayes.blind.child import DIAGNOSE, Children, Outcome, diagnosed
 from det2stoc_bayes.blind.conceal import ConcealedCase
 from det2stoc_bayes.blind.draw import KINDS, Choice, draw_case
 from det2stoc_bayes.blind.score import score
-from det2stoc_bayes.cores import usable_cores
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.executors import Progress, result_of, workers
 from det2stoc_bayes.files import appending
@@ -66,7 +67,7 @@ def run(
         if missing:
             make = partial(_drawn, draw, seed, choice)
             with (
-                _working(make, arguments, jobs or usable_cores(), cluster, progress) as (work, at_once),
+                _working(make, arguments, jobs or cpu_count(), cluster, progress) as (work, at_once),
                 closing(_every(work, missing, at_once)) as results,
             ):
                 for number, (key, case, outcome) in enumerate(results, there + 1):

@@ -91,8 +91,8 @@ def contact_elements(model: mujoco.MjModel, pairs: list[tuple[int, int]]) -> lis
 
 
 def may_touch(model: mujoco.MjModel) -> bool:
-    """Whether any two geoms could touch."""
+    """Whether anything could touch: not where contacts are disabled."""
     kinds = model.geom_contype[:, None] & model.geom_conaffinity[None, :]
-    return bool(model.npair or (kinds.any() and model.ngeom > 1)) and not bool(
+    return bool(model.nflex or model.npair or (kinds.any() and model.ngeom > 1)) and not bool(
         model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     )

@@ -7,8 +7,8 @@ from dataclasses import astuple, replace
 import mujoco
 import numpy as np
 from jaxtyping import Float, Int
+from joblib import cpu_count
 
-from det2stoc_bayes.cores import usable_cores
 from det2stoc_bayes.engines.base import Counter, Request, Trajectory
 from det2stoc_bayes.engines.contacts import may_touch
 from det2stoc_bayes.engines.mujoco_chunk import Chunk, num_before
@@ -28,7 +28,7 @@ class MujocoC:
 
     def __init__(self, model: mujoco.MjModel, num_threads: int = 0):
         self._models: dict[tuple[float | None, str | None], mujoco.MjModel] = {(None, None): _prepared(model)}
-        self._threads = num_threads or usable_cores()
+        self._threads = num_threads or cpu_count()
         self.counter = Counter()
 
     def rollout(self, request: Request) -> Float[np.ndarray, "sims samples columns"]:
@@ -109,6 +109,6 @@ def _prepared(model: mujoco.MjModel) -> mujoco.MjModel:
     # A simulation that diverges must stay diverged, not start again from qpos0.
     model = copy.copy(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    if not may_touch(model):  # to find so at every step takes a tenth of it
+    if not may_touch(model):  # MuJoCo would look for contacts at every step: a tenth of its time
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     return model

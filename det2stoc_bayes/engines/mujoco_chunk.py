@@ -23,7 +23,7 @@ _SET_CONST_OUTPUTS = (
     "actuator_acc0", "actuator_length0", "body_invweight0", "body_subtreemass", "dof_M0", "dof_invweight0",
     "dof_length", "eq_data", "tendon_invweight0", "tendon_length0",
 )  # fmt: skip
-FEW = 16  # simulations that threads would wait for each other at every step longer than they take
+LIGHT = 24  # degrees of freedom in all, for which threads would wait for each other at every step longer than it takes
 FEWER = 4  # times fewer different values than simulations: then each is derived once
 
 
@@ -43,8 +43,8 @@ class Chunk:
         # Stages kept between steps spare the Euler integrators a second computation of places; RK4 starts anew anyway.
         pushed = any(e.placed.effect.uses("body_force") for e in self.effects)
         kept = pushed and model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
-        if (self.stepped or request.observer is not None) and self.count < FEW:
-            threads = 1
+        by_steps = self.stepped or request.observer is not None
+        threads = 1 if by_steps and self.count * model.nv < LIGHT else threads
         self.batch = mujoco.batch.Batch(model, self.count, threads, persistent=kept)
 
     def run(self, states: bool) -> Trajectory:

@@ -1,5 +1,6 @@
 """How long a stretch the simulator can be asked to predict: as long as its error stays small beside the motion."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,7 +15,7 @@ from det2stoc_bayes.start_fit import fit_starts, searched_again
 SHORTEST = 20  # samples
 GROWTH, LEAST_GROWTH = 4, 2  # from one rung to the next; and from the last one to whole recordings
 AMPLE = 3000  # samples in short segments: under a misfit more of them cost time and decide nothing
-SEARCHED = 600  # samples up to which dozens of starts are tried for every segment
+SEARCHED = 600  # samples, or up to four times as many, in short segments where dozens of starts are tried for each
 FAR = 100.0  # noise inflation from which on a search holds a hypothesis against others where it stands
 LARGEST_ERROR = 0.2  # of a column's spread: beyond it a linearization says little
 
@@ -32,7 +33,9 @@ def ladder(problem: Problem) -> Iterator[int | None]:
 def climb(
     problem: Problem, z: np.ndarray | None = None, reached: Fit | None = None, *, until: Segments | None = None
 ) -> Fit | None:
-    """The fit at the longest horizon (up to `until`) whose error is still small, from short segments up or a `reached`.
+    """The fit at the longest horizon (no longer than `until`) whose error is still small.
+
+    From short segments on, or from a fit `reached`; None where simulations diverge, or no rung is so short.
 
     Of many short segments some lead the way. All are fitted in the end, or, where a misfit stays, the telling ones.
     """
@@ -61,7 +64,7 @@ def climb(
 def _lost(fit: Fit) -> bool:
     """Whether stretches are too long to linearize about.
 
-    Under an error too large; or where starts are searched for, and one that ended far away says little of psi.
+    The error is too large, or, where starts are searched for, the search did not end and is far from the noise.
     """
     astray = fit.end != "converged" and fit.noise_inflation >= FAR
     return (astray and not fit.problem.guess.seen.all()) or relative_error(fit) > LARGEST_ERROR
@@ -72,14 +75,15 @@ def _leading(problem: Problem, segments: Segments) -> Segments:
     num_samples = int(segments.lengths.sum())
     if problem.guess.seen.all():
         return segments.only(segments.evenly(AMPLE)) if num_samples > AMPLE else segments
-    return segments.only(segments.every(GROWTH)) if num_samples > SEARCHED else segments
+    rungs = math.floor(math.log(max(num_samples / SEARCHED, 1.0), GROWTH))
+    return segments.only(segments.beginnings(GROWTH**rungs)) if rungs else segments
 
 
 def _telling(fit: Fit, every: Segments) -> Segments:
     """Half of what is ample evenly spread, and then what a fit tells worst of all segments: most of its misfit."""
-    problem, rows = fit.problem.on(every), every.evenly(AMPLE / 2)
     if int(every.lengths.sum()) <= AMPLE:
         return every
+    problem, rows = fit.problem.on(every), every.evenly(AMPLE / 2)
     lin = fit_starts(problem, fit.problem.carry(fit.point.z, problem))
     if lin is None:
         return every.only(every.evenly(AMPLE))

@@ -56,6 +56,34 @@ def test_moves_as_mj_step(compiled, bodies):
     np.testing.assert_allclose(out, order, rtol=0, atol=1e-13)
 
 
+def test_contacts_are_looked_for_only_where_there_may_be_some():
+    cloth = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+      <flexcomp name="cloth" type="grid" count="3 3 1" spacing=".1 .1 .1" dim="2" pos="0 0 .2" mass=".1" radius=".01">
+      <edge equality="true"/></flexcomp></worldbody></mujoco>"""
+    disabled = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    for xml, looked_for in ((cloth, True), (model_xml(ARM), False)):
+        model = mujoco.MjModel.from_xml_string(xml)
+        engine = MujocoC(model, 1)
+        assert bool(engine._model(None, None).opt.disableflags & disabled) != looked_for
+        assert not model.opt.disableflags & disabled  # the caller's own stays as it is
+
+
+@pytest.mark.parametrize(("count", "threads"), [(5, 1), (500, 2)])
+def test_few_simulations_that_are_stepped_together_do_not_wait_for_threads(compiled, monkeypatch, count, threads):
+    model, taken = compiled(HINGE), []
+    batch = mujoco.batch.Batch
+
+    def watched(model, count, threads, **options):
+        taken.append(threads)
+        return batch(model, count, threads, **options)
+
+    monkeypatch.setattr(mujoco.batch, "Batch", watched)
+    effects = (EffectRows.alike(place_form(model, "QuadraticDamping"), count, {"coefficient": 0.1}),)
+    ask = request(model, np.arange(3) * 0.02, np.zeros((count, 1)), np.zeros((count, 1)), effects=effects)
+    MujocoC(model, 2).rollout(ask)
+    assert taken == [threads]
+
+
 def test_free_fall(compiled):
     model = compiled(BALL.format("drop", "0 0 1"), option='<option timestep="0.001" integrator="RK4"/>')
     time = np.linspace(0, 1, 21)
