@@ -78,7 +78,7 @@ def test_few_simulations_that_are_stepped_together_do_not_wait_for_threads(compi
         return batch(model, count, threads, **options)
 
     monkeypatch.setattr(mujoco.batch, "Batch", watched)
-    effects = (EffectRows.alike(place_form(model, "QuadraticDamping"), count, {"coefficient": 0.1}),)
+    effects = (EffectRows.alike(place_form(model, "StribeckFriction"), count, VALUES["StribeckFriction"]),)
     ask = request(model, np.arange(3) * 0.02, np.zeros((count, 1)), np.zeros((count, 1)), effects=effects)
     MujocoC(model, 2).rollout(ask)
     assert taken == [threads]
