@@ -57,7 +57,7 @@ def reporting(debug: bool) -> Iterator["det2stoc_bayes.progress.Stages"]:
 
 @contextmanager
 def _interrupting(interrupted: Event) -> Iterator[None]:
-    """Remembers a Ctrl-C: of a KeyboardInterrupt in its callback a library makes an error of its own."""
+    """Remembers a Ctrl-C or a scheduler's SIGTERM: a library makes an error of its own of a KeyboardInterrupt."""
 
     def note(*_: Any) -> None:
         interrupted.set()
@@ -66,11 +66,12 @@ def _interrupting(interrupted: Event) -> Iterator[None]:
     if current_thread() is not main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, note)
+    before = {sent: signal.signal(sent, note) for sent in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for sent, handler in before.items():
+            signal.signal(sent, handler)
 
 
 def _exit(console: "rich.console.Console", line: str, code: int) -> typer.Exit:

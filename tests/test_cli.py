@@ -284,14 +284,15 @@ def test_an_unforeseen_error_is_one_line_without_debug(study, monkeypatch):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no SIGINT to send")
-def test_an_interruption_is_one_line(study):
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_is_one_line(study, sent):
     line = [sys.executable, "-m", "det2stoc_bayes", "fit", str(study), "--out", "never"]
     line += ["--num-samples", "10000000"]
     process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=study)
     assert process.stderr is not None
     assert [process.stderr.readline() for _ in range(2)] == ["fitting by nuts\n", "sampling\n"]
     time.sleep(0.2)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sent)
     try:
         out, error = process.communicate(timeout=60)
     finally:
