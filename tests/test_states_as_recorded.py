@@ -133,7 +133,7 @@ def test_a_turning_body_seen_by_one_of_its_points(tmp_path):
     np.testing.assert_allclose(seen, true, atol=0.3)  # measured: 0.1
 
 
-@pytest.mark.parametrize(("astray", "count"), [(1, 4), (1, 1), (2, 3), (3, 4)])
+@pytest.mark.parametrize(("astray", "count"), [(1, 1), (3, 4)])
 def test_segments_whose_starts_are_in_another_valley_are_searched_anew(tmp_path, astray, count):
     starts = [([angle], [speed]) for angle, speed in ((1.0, 0.0), (-2.0, 3.0), (0.5, -4.0), (-1.0, 2.0))][:count]
     made = sensed(IMU, starts, 5 * np.arange(80), np.repeat([0.01, 0.05], 3))
