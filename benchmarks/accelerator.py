@@ -5,7 +5,6 @@ Slope's transitions. Lines go to benchmarks/results/accelerator.jsonl.
 """
 
 import argparse
-import os
 import time
 from collections.abc import Callable, Iterator
 from itertools import chain
@@ -15,6 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from joblib import cpu_count
 from logs import append
 
 from det2stoc_bayes.blind.proof import revision
@@ -96,7 +96,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--log", type=Path, default=LOG)
     given = parser.parse_args()
-    about = {"commit": revision(), "device": jax.devices()[0].device_kind, "cores": os.cpu_count()}
+    about = {"commit": revision(), "device": jax.devices()[0].device_kind, "cores": cpu_count()}
     print(f"{about['device']} beside {about['cores']} cores")
     print(
         "| problem | at once | unit | C | MJX | MJX with gradient | s of a first call |\n|---|---|---|---|---|---|---|"

@@ -206,7 +206,7 @@ class Calibration:
 
     @property
     def verdict(self) -> str:
-        """One sentence."""
+        """What the tests say, in words."""
         n, of = len(self.ranks), f"{self.method} on {self.problem}"
         if self.unjudged:
             return f"{of} is not judged: {self.unjudged}."

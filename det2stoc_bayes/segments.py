@@ -80,13 +80,15 @@ class Segments:
     def evenly(self, num_samples: float) -> Int[np.ndarray, " rows"]:
         """Segments of about so many samples in all, spread over each recording; of each at least one."""
         every = max(int(np.ceil(self.lengths.sum() / num_samples)), 1)
-        rows = [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
-        return np.concatenate([own[min(every // 2, len(own) - 1) :: every] for own in rows])
+        return np.concatenate([own[min(every // 2, len(own) - 1) :: every] for own in self._by_recording()])
 
     def beginnings(self, nth: int) -> Int[np.ndarray, " rows"]:
         """Of each recording the first segment and every nth after it: with these so much longer ones begin."""
-        rows = [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
-        return np.concatenate([own[::nth] for own in rows])
+        return np.concatenate([own[::nth] for own in self._by_recording()])
+
+    def _by_recording(self) -> list[Int[np.ndarray, " rows"]]:
+        """The rows of each recording."""
+        return [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
 
     def steps(self, timestep: float) -> Int[np.ndarray, " segments"]:
         """Simulation steps that reach each segment's last sample."""

@@ -1,5 +1,6 @@
 """What belongs to single recordings, fitted to each of them while the other unknowns stay as they are."""
 
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -48,9 +49,10 @@ def searched_again(fit: Fit, **options: Any) -> Fit:
 
     The fit itself where it leaves only chance, or where that does not better it; `options` are `fit_many`'s.
     """
-    problem, start, moved, vain = fit.problem, fit.point.start, False, 0
+    problem, moved, vain = fit.problem, False, 0
     if by_chance(fit) or problem.guess.seen.all():
         return fit
+    start = deepcopy(fit.point.start)
     height = (fit.linear.stacked**2).sum((1, 2))
     for seed in range(1, 1 + MOST_SEARCHES):
         rows = _astray(problem, height)
@@ -59,13 +61,12 @@ def searched_again(fit: Fit, **options: Any) -> Fit:
         some = problem.only(rows)
         point = start_point(some, fit.point.z, fit.linear, seed)
         lin = linearize([(some, point)], unknowns="own")[0]
-        found, better = height.copy(), np.zeros(len(height), bool)
-        found[rows] = np.inf if lin is None else (lin.stacked**2).sum((1, 2))
-        better[rows] = found[rows] < VALLEY * height[rows]
-        whole = Start(*(np.array(a) for a in (start.qpos, start.qvel, start.act)))
-        whole.qpos[rows], whole.qvel[rows] = point.start.qpos, point.start.qvel
-        start, height = start.taking(whole, better), np.where(better, found, height)
-        moved, vain = moved or bool(better.any()), vain + (not better.any())
+        found = np.full(len(rows), np.inf) if lin is None else (lin.stacked**2).sum((1, 2))
+        better = found < VALLEY * height[rows]
+        there = rows[better]
+        height[there] = found[better]
+        start.qpos[there], start.qvel[there] = point.start.qpos[better], point.start.qvel[better]
+        moved, vain = moved or len(there) > 0, vain + (len(there) == 0)
     again = fit_many([(problem, Point(fit.point.z, start))], **options)[0] if moved else None
     return fit if again is None or again.noise_inflation > fit.noise_inflation else again
 

@@ -1,12 +1,13 @@
 """Fits where the state is recorded only in part, or through sensors alone."""
 
+from copy import deepcopy
+
 import mujoco
 import numpy as np
 import pytest
 from conftest import FREE, make_study, model_xml
 from simulated import PENDULUM, noise_table, pose, recordings
 
-from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.engines.model_names import model_names
 from det2stoc_bayes.identifiability import check
 from det2stoc_bayes.linearization import Point, start_point
@@ -133,17 +134,17 @@ def test_a_turning_body_seen_by_one_of_its_points(tmp_path):
     np.testing.assert_allclose(seen, true, atol=0.3)  # measured: 0.1
 
 
-@pytest.mark.parametrize(("astray", "count"), [(1, 1), (3, 4)])
+@pytest.mark.parametrize(("astray", "count"), [(1, 4), (1, 1), (2, 3), (3, 4)])
 def test_segments_whose_starts_are_in_another_valley_are_searched_anew(tmp_path, astray, count):
     starts = [([angle], [speed]) for angle, speed in ((1.0, 0.0), (-2.0, 3.0), (0.5, -4.0), (-1.0, 2.0))][:count]
     made = sensed(IMU, starts, 5 * np.arange(80), np.repeat([0.01, 0.05], 3))
     found = find_map(pose(make_study(tmp_path / "imu", IMU, IMU_TOML, made)))
     assert found.noise_inflation < 1.15  # measured: 0.98 to 1.03
-    elsewhere = Start(*(np.array(getattr(found.point.start, a)) for a in ("qpos", "qvel", "act")))
+    elsewhere = deepcopy(found.point.start)
     elsewhere.qpos[:astray] += 2.5
     elsewhere.qvel[:astray] = -5.0
     (lost,) = fit_many([(found.problem, Point(found.point.z, elsewhere))], max_iterations=0)
-    assert lost.noise_inflation > 100  # measured: 14205
+    assert lost.noise_inflation > 100  # measured: 14205 to 56984
     again = searched_again(lost)
     assert again.noise_inflation < 1.15  # measured: 0.98 to 1.03
     assert searched_again(again) is again
