@@ -232,11 +232,11 @@ class Composer:
     def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:
         count = self.judged.found.num_candidates
         text = f"Nothing in the catalogue ({count} candidates) explains the recordings better than the model."
-        inflation = self._inflation()
-        if inflation is not None and inflation > MODEL_ERROR:
+        inflation, told = self._inflation(), self.credence.predictive
+        if inflation is not None and inflation > MODEL_ERROR and not told.glitches:
             text += f" But they stay unexplained: the error's variance is {inflation:.3g} times the noise's."
-        elif self.credence.predictive.fails:
-            text += f" But: {self.credence.predictive.text()}"
+        elif told.fails:
+            text += f" But: {told.text()}"
         odd = [n for n, p in psi.items() if isinstance(p.prior_conflict, float) and p.prior_conflict < UNLIKELY]
         if odd:
             text += f" But {', '.join(odd)} lies far out in its prior: the believed value or its prior is wrong."

@@ -6,19 +6,23 @@ residuals that psi was fitted to, would hardly ever reject). Where noise is not 
 residuals must be white.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import stats
 
+from det2stoc_bayes.mismatch.evidence import whitened
 from det2stoc_bayes.mismatch.whiteness import Whiteness, whiteness
 from det2stoc_bayes.optimize import Fit
 
 FAILS = 0.01  # p-value, corrected for the number of channels, below which something is unexplained
 NUM_REPLICATES = 200
 MAX_VALUES = 8_000_000  # numbers of replicated noise held at once
+GLITCH, AGREES = 8.0, 4.0  # noise sds off of a sample, and of its neighbours, where it is one
+REMEDY = 'With noise = "student_t" in [likelihood] such glitches lose their weight.'
+MOST = 0.8  # of the squared error beyond the noise's that glitches make, where nothing else need be missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +33,7 @@ class PredictiveCheck:
     p_values: Float[np.ndarray, " columns"]
     inflation: Float[np.ndarray, " columns"]  # squared error over what noise would leave
     white: Whiteness
+    glitches: tuple[float, ...] = ()  # noise sds off of lone samples, where they are most of what is unexplained
 
     @property
     def given(self) -> np.ndarray:
@@ -59,6 +64,10 @@ class PredictiveCheck:
             return ""
         if not self.given.any():
             return f"The error on {self.worst} that stays unexplained is no white noise."
+        if self.glitches:
+            count, most = len(self.glitches), f"{max(self.glitches):.0f} noise sds off"
+            what = f"a lone sample is {most}" if count == 1 else f"{count} samples, each alone, are up to {most}"
+            return f"Most of what stays unexplained: {what}. {REMEDY}"
         ratio = self.inflation[self.columns.index(str(self.worst))]
         return f"Part of {self.worst} stays unexplained: its squared error is {ratio:.3g} times the noise's."
 
@@ -82,7 +91,22 @@ def check(fit: Fit, seed: int, num_replicates: int = NUM_REPLICATES) -> Predicti
     mean = np.maximum(mean, 1e-300)
     p = stats.gamma.sf(observed, mean**2 / variance, scale=variance / mean)  # chi2 with its moments
     given = np.array([c in fit.problem.simulator.study.noise for c in columns])
-    return PredictiveCheck(columns, np.where(given, p, np.nan), observed / mean, whiteness(fit))
+    found = PredictiveCheck(columns, np.where(given, p, np.nan), observed / mean, whiteness(fit))
+    if not (found.fails and given.any()) or fit.problem.measurement.degrees_of_freedom is not None:
+        return found
+    lone, size = _glitches(fit)
+    made = np.where(lone, size**2 - 1, 0.0).sum()  # their neighbours, whom they drag along, have a share of the rest
+    most = made > MOST * (observed - mean)[given].sum()
+    return replace(found, glitches=tuple(np.abs(size[lone]).tolist())) if most else found
+
+
+def _glitches(
+    fit: Fit,
+) -> tuple[Bool[np.ndarray, "segments samples columns"], Float[np.ndarray, "segments samples columns"]]:
+    """Which samples are far off between neighbours that are not, as no physics makes them; and by how much."""
+    r = np.nan_to_num(whitened(fit))
+    beside = np.pad(np.abs(r), ((0, 0), (1, 1), (0, 0)))
+    return (np.abs(r) > GLITCH) & (np.maximum(beside[:, :-2], beside[:, 2:]) < AGREES), r
 
 
 def _replicated(fit: Fit, random: np.random.Generator, count: int) -> Float[np.ndarray, "columns replicates"]:

@@ -1,5 +1,7 @@
 """Predictive check, left-out recordings and stacking."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -28,6 +30,26 @@ def test_it_fails_where_something_is_left_out(tmp_path):
     found = check(fit(spring_problem(tmp_path, push=push, noise=1e-3)), 0)
     assert found.fails and found.p_value < 1e-6
     assert str(found.worst) in found.text() and "unexplained" in found.text()
+
+
+def spoilt(problem, samples):
+    """The same recordings, some samples of the first one's first column 30 noise sds off."""
+    first, *rest = problem.segments.recordings
+    values = first.values.copy()
+    values[samples, 0] += 30 * problem.simulator.study.noise[first.columns[0]]
+    return problem.on(cut((replace(first, values=values), *rest)))
+
+
+def test_lone_samples_far_off_are_told_as_glitches(tmp_path):
+    problem = spring_problem(tmp_path)
+    found = check(fit(spoilt(problem, [20, 33])), 0)
+    assert found.fails and len(found.glitches) == 2 and "2 samples, each alone" in found.text()
+    assert 25 < min(found.glitches) <= max(found.glitches) < 35
+
+
+def test_what_neighbours_share_is_no_glitch(tmp_path):
+    found = check(fit(spoilt(spring_problem(tmp_path), [20, 21, 22])), 0)
+    assert found.fails and not found.glitches and "unexplained" in found.text()
 
 
 @pytest.mark.parametrize("wrong", [False, True])
