@@ -45,6 +45,11 @@ class Measurement:
         small = x < TINY
         return error * xp.sqrt((nu + 1) / nu * xp.where(small, 1 - x / 2, xp.log1p(x) / xp.where(small, 1.0, x)))
 
+    def unbent(self, bent: Array) -> Array:
+        """e where rho(e) is given."""
+        nu = self.degrees_of_freedom
+        return bent if nu is None else np.sign(bent) * np.sqrt(nu * np.expm1(bent**2 / (nu + 1)))
+
     def slope(self, error: Array) -> Array:
         """rho'(e)."""
         nu = self.degrees_of_freedom

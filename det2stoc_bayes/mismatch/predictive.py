@@ -10,19 +10,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy import stats
 
-from det2stoc_bayes.mismatch.evidence import whitened
+from det2stoc_bayes.mismatch.glitches import glitches
 from det2stoc_bayes.mismatch.whiteness import Whiteness, whiteness
 from det2stoc_bayes.optimize import Fit
 
 FAILS = 0.01  # p-value, corrected for the number of channels, below which something is unexplained
 NUM_REPLICATES = 200
 MAX_VALUES = 8_000_000  # numbers of replicated noise held at once
-GLITCH, AGREES = 8.0, 4.0  # noise sds off of a sample, and of its neighbours, where it is one
 REMEDY = 'With noise = "student_t" in [likelihood] such glitches lose their weight.'
-MOST = 0.8  # of the squared error beyond the noise's that glitches make, where nothing else need be missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,21 +90,7 @@ def check(fit: Fit, seed: int, num_replicates: int = NUM_REPLICATES) -> Predicti
     p = stats.gamma.sf(observed, mean**2 / variance, scale=variance / mean)  # chi2 with its moments
     given = np.array([c in fit.problem.simulator.study.noise for c in columns])
     found = PredictiveCheck(columns, np.where(given, p, np.nan), observed / mean, whiteness(fit))
-    if not (found.fails and given.any()) or fit.problem.measurement.degrees_of_freedom is not None:
-        return found
-    lone, size = _glitches(fit)
-    made = np.where(lone, size**2 - 1, 0.0).sum()  # their neighbours, whom they drag along, have a share of the rest
-    most = made > MOST * (observed - mean)[given].sum()
-    return replace(found, glitches=tuple(np.abs(size[lone]).tolist())) if most else found
-
-
-def _glitches(
-    fit: Fit,
-) -> tuple[Bool[np.ndarray, "segments samples columns"], Float[np.ndarray, "segments samples columns"]]:
-    """Which samples are far off between neighbours that are not, as no physics makes them; and by how much."""
-    r = np.nan_to_num(whitened(fit))
-    beside = np.pad(np.abs(r), ((0, 0), (1, 1), (0, 0)))
-    return (np.abs(r) > GLITCH) & (np.maximum(beside[:, :-2], beside[:, 2:]) < AGREES), r
+    return replace(found, glitches=glitches(fit)) if found.fails and given.any() else found
 
 
 def _replicated(fit: Fit, random: np.random.Generator, count: int) -> Float[np.ndarray, "columns replicates"]:
