@@ -121,27 +121,31 @@ def bare_fit(before: Fit, grown: Fit) -> Fit:
     return refit(grown, ()) or before
 
 
-def grow(first: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks) -> tuple[Fit, dict[PlacedEffect, Fit]]:
-    """The best effects one after the other, or two at once; and fits without each of those that stay."""
+def grow(
+    first: Slot, pool: Sequence[PlacedEffect], needed: float, looks: Looks, most: int = MAX_EFFECTS
+) -> tuple[Fit, dict[PlacedEffect, Fit]]:
+    """The best effects one after the other, or two at once, up to so many; and fits without each of those that stay."""
     slot = first
     while True:
-        better = _better(slot, pool, needed, first.base, looks)
+        better = _better(slot, pool, needed, first.base, looks, most)
         if better is None:
             return _prune(slot.base, needed)
         better = looks.extended(better)
-        if len(better.problem.effects) >= MAX_EFFECTS or enough(better, first.base):
+        if len(better.problem.effects) >= most or enough(better, first.base):
             return _prune(better, needed)
         slot = looks.at(better, pool)
 
 
-def _better(slot: Slot, pool: Sequence[PlacedEffect], needed: float, believed: Fit, looks: Looks) -> Fit | None:
+def _better(
+    slot: Slot, pool: Sequence[PlacedEffect], needed: float, believed: Fit, looks: Looks, most: int
+) -> Fit | None:
     """The next step; None where nothing earns its place. More pairs are tried before a misfit is called unexplained."""
     base = slot.base
-    room = len(base.problem.effects) + 2 <= MAX_EFFECTS
+    room = len(base.problem.effects) + 2 <= most
     lead, successive = leading(slot, pool, needed, looks) if room else (None, [])
     if lead is not None:
         return lead
-    found = _best_of(slot, needed, believed, looks, NUM_PAIRS, successive)
+    found = _best_of(slot, needed, believed, looks, NUM_PAIRS if room else 0, successive)
     if found is None and not base.problem.effects and base.noise_inflation >= MODEL_ERROR:
         return _best_of(slot, needed, believed, looks, NUM_WIDE, successive)
     return found
@@ -159,8 +163,8 @@ def _best_of(
     base, single = slot.base, {r.placed: r.fit for r in slot.ranked}
     alone = [r.fit for r in slot.ranked if r.gain >= needed]
     least = needed + max([0.0, *(s.log_evidence for s in slot.screened[:1])])
-    room = len(base.problem.effects) + 2 <= MAX_EFFECTS and not (alone and enough(alone[0], believed))
-    both = looks.pairs(base, slot.screened, least, num_pairs) if room else []
+    wanted = num_pairs > 0 and not (alone and enough(alone[0], believed))
+    both = looks.pairs(base, slot.screened, least, num_pairs) if wanted else []
     contenders = [*both, *alone[:NUM_CROSSED]]
     if not contenders:
         return None

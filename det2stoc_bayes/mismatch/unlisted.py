@@ -22,6 +22,7 @@ from det2stoc_bayes.mismatch.unlisted_screen import joints, reshaped, screen_unl
 from det2stoc_bayes.optimize import Fit, fit_many
 
 NUM_REFINED = 2
+MOST_BESIDE = 1  # listed effects beside a curve: with two more whatever is recorded is bent to
 MOST_RESHAPED = 3  # times that a curve's prior is chosen anew
 ENOUGH = 2.0  # nats: a choice that gains less is the last one
 LEFT = 0.2  # of the misfit: what leaves more is not the shape that is missing
@@ -162,7 +163,7 @@ def _completed(fit: Fit, found: Explanation, needed: float, looks: Looks) -> Fit
     if enough(fit, found.before) or len(found.after.problem.effects) == 0:
         return fit
     near = list(dict.fromkeys(r.placed for slot in found.slots for r in slot.ranked))
-    return grow(looks.at(fit, near), near, needed, looks)[0]
+    return grow(looks.at(fit, near), near, needed, looks, MOST_BESIDE + 1)[0]
 
 
 def _hopeless(curve: Fit, listed: Fit) -> bool:

@@ -15,7 +15,7 @@ TRUTH = np.array([0.4, -0.3])
 class Rough(Followed):
     """A linear model of 400 samples of noise 1; of a sixth a contact is made or broken within a fraction of a sd."""
 
-    size, num_psi, floor, effects, unknowns = 2, 2, np.full(2, -np.inf), (), Unknowns((), ())
+    size, num_psi, floor, effects, unknowns, timestep = 2, 2, np.full(2, -np.inf), (), Unknowns((), ()), None
     recording = cached_property(lambda _: np.zeros(40, int))
     volumes = cached_property(lambda _: np.zeros(40))
     rough: float

@@ -30,8 +30,9 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
     """
     middle = followed.remembering(MIDDLE)
     z, step = searched(middle), float(followed.problem.simulator.model.opt.timestep)
-    ways = (middle, middle.integrated(step / FINER, None))
-    plain, fine = (best_remembered(fit_followed(way, z, iterations=SKETCH)) for way in ways)
+    starts = (z, np.zeros_like(z))  # beside what is missing a search may end at the prior's edge
+    plain = min((from_start(middle, start) for start in starts), key=lambda f: f.loss)
+    fine = from_start(middle.integrated(step / FINER, None), plain.z)
     finer = certainty(plain.losses - fine.losses, followed.recording) >= FINER_CERTAIN
     fits = grounded(climbed(fine if finer else plain))
     heard = telling(min(fits, key=lambda f: f.loss))
@@ -57,6 +58,11 @@ def searched(followed: Followed) -> Float[np.ndarray, " size"]:
         return within(start, z)
 
     return evolved(start, unknowns, size=len(shared), sigma=1.0, population=POPULATION, generations=GENERATIONS)
+
+
+def from_start(followed: Followed, z: Float[np.ndarray, " size"]) -> ContactFit:
+    """A few steps from there, and as many with the memory that serves it best."""
+    return best_remembered(fit_followed(followed, z, iterations=SKETCH))
 
 
 def best_remembered(fit: ContactFit) -> ContactFit:
