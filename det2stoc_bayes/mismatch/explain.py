@@ -137,7 +137,7 @@ def grow(
 
 
 def _better(
-    slot: Slot, pool: Sequence[PlacedEffect], needed: float, believed: Fit, looks: Looks, most: int
+    slot: Slot, pool: Sequence[PlacedEffect], needed: float, believed: Fit, looks: Looks, most: int = MAX_EFFECTS
 ) -> Fit | None:
     """The next step; None where nothing earns its place. More pairs are tried before a misfit is called unexplained."""
     base = slot.base
