@@ -289,6 +289,22 @@ def test_what_an_effect_explains_is_told_with_one_memory(problem, sliding):
     assert said.verdict == "no_mismatch" and said.negligible[0][1] < 0.05
 
 
+@pytest.mark.parametrize(("share", "verdict"), [(0.6, "mismatch"), (0.995, "no_mismatch")])
+def test_a_level_above_what_was_left_before_makes_nothing_negligible(problem, sliding, share, verdict):
+    """By recordings of the explanation's own making even the believed model would leave less than noise."""
+    followed, recordings = Followed(problem).hearing(sliding), problem.simulator.study.recordings
+    drag = next(c for c in candidates(problem) if c.effect.name == "linear_drag")
+    wrong, right = z_of(problem, share * TRUTH), z_of(problem, TRUTH)
+    pairs = []
+    for one, z in ((followed, wrong), (followed.with_problem(problem.with_effects((drag,))), np.append(right, 0.01))):
+        fit, held = (one.on(part) for part in (recordings[:3], recordings[3:]))
+        pairs.append(Pair(at(fit, z), at(held, z, at(fit, z).scales)))
+    base, more = pairs
+    rod = yardstick(more.fit, 0)
+    rod = replace(rod, level=1.1 * rod.of(base))
+    assert judged(base, [Round(base, (), (more,), more)], False, 0, more, rod).verdict == verdict
+
+
 def test_scales_of_one_column_are_its_own():
     scales = Scales(np.array([1.0, 3.0]))
     assert scales.only(1).values.tolist() == [3.0]
