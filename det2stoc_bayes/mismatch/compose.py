@@ -11,7 +11,7 @@ from det2stoc_bayes.mismatch import finding
 from det2stoc_bayes.mismatch.conflict import tail_probability
 from det2stoc_bayes.mismatch.credence import Credence
 from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence, probabilities
 from det2stoc_bayes.mismatch.experiment import propose
 from det2stoc_bayes.mismatch.heldout import horizon_samples
 from det2stoc_bayes.mismatch.judgement import Judgement, Named
@@ -145,7 +145,7 @@ class Composer:
             element=finding.Element(kind="simulator", name="option"),
             law=CATALOGUE["numerical_integration"].law_text,
             statement=f"The believed integration is too coarse: {numerics.integrator} at {step:g} s converges.",
-            probability=float(1 / (1 + np.exp(-min(numerics.gain, 700.0)))),
+            probability=float(probabilities([numerics.gain], self.judged.found.num_candidates)[0]),
             explains=self.judged.numerics_share,
             recordings="all",
             equivalent=(),

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence, profile
+from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Finer, Problem
 
@@ -37,7 +38,7 @@ def check_numerics(fit: Fit, timestep: float, num_candidates: int) -> Numerics |
     if better is None:
         return None
     gain = log_evidence(better) - log_evidence(fit)
-    return Numerics(step, integrator, gain, better) if gain > np.log(max(num_candidates, 1)) else None
+    return Numerics(step, integrator, gain, better) if gain > threshold(num_candidates) else None
 
 
 def corrected(fit: Fit) -> Fit:
