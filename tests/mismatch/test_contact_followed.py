@@ -305,6 +305,26 @@ def test_a_level_above_what_was_left_before_makes_nothing_negligible(problem, sl
     assert judged(base, [Round(base, (), (more,), more)], False, 0, more, rod).verdict == verdict
 
 
+def test_a_last_addition_that_hardly_explains_anything_is_set_apart(problem, sliding):
+    """A first one brings friction to where it is; a second is a passenger."""
+    followed, recordings = Followed(problem).hearing(sliding), problem.simulator.study.recordings
+    drag, other = (
+        next(c for c in candidates(problem) if c.effect.name == n) for n in ("linear_drag", "quadratic_drag")
+    )
+    wrong, right = z_of(problem, 0.5 * TRUTH), z_of(problem, TRUTH)
+    pairs = []
+    for effects, z in (((), wrong), ((drag,), np.append(right, 0.01)), ((drag, other), np.append(right, [0.01, 0.01]))):
+        one = followed.with_problem(problem.with_effects(effects))
+        fit, held = (one.on(part) for part in (recordings[:3], recordings[3:]))
+        pairs.append(Pair(at(fit, z), at(held, z, at(fit, z).scales)))
+    base, first, second = pairs
+    rounds = [Round(base, (), (first,), first), Round(first, (), (second,), second)]
+    said = judged(base, rounds, False, 0, second, yardstick(second.fit, 0))
+    assert said.verdict == "mismatch" and [e.effect.name for e in said.after.fit.problem.effects] == ["linear_drag"]
+    assert len(said.places) == len(said.explains) == 1 and said.explains[0] > 0.9
+    assert [(p.placed.effect.name, share < 0.05) for p, share in said.negligible] == [("quadratic_drag", True)]
+
+
 def test_scales_of_one_column_are_its_own():
     scales = Scales(np.array([1.0, 3.0]))
     assert scales.only(1).values.tolist() == [3.0]

@@ -1,6 +1,6 @@
 """From rounds of additions to a verdict on a study with contact."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -58,6 +58,12 @@ def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair
     # no more than the explanation does.
     excess = start - min(rod.level, *rest, start)
     explains = tuple(float(np.clip(-s / max(excess, 1e-9), -1.0, 1.0)) for s in np.diff([start, *rest]))
+    last = taken[-1].taken if taken else None
+    if last is not None and len(taken) > 1 and explains[-1] < NEGLIGIBLE:  # the others stand without it
+        fewer, before_it = [r for r in rounds if r is not taken[-1]], taken[-2].taken
+        assert before_it is not None
+        rest_of_it = judged(before, fewer, fine, seed, topped_pair(before_it, seed), rod)
+        return replace(rest_of_it, negligible=(*rest_of_it.negligible, (last, explains[-1])))
     left = rod.left(start, rod.of(final))
     random = np.random.default_rng(seed)
     places = tuple(classes(r, random) for r in taken)
