@@ -126,6 +126,8 @@ def grow(
 ) -> tuple[Fit, dict[PlacedEffect, Fit]]:
     """The best effects one after the other, or two at once, up to so many; and fits without each of those that stay."""
     slot = first
+    if len(slot.base.problem.effects) >= most:
+        return _prune(slot.base, needed)
     while True:
         better = _better(slot, pool, needed, first.base, looks, most)
         if better is None:
@@ -146,7 +148,7 @@ def _better(
     if lead is not None:
         return lead
     found = _best_of(slot, needed, believed, looks, NUM_PAIRS if room else 0, successive)
-    if found is None and not base.problem.effects and base.noise_inflation >= MODEL_ERROR:
+    if found is None and room and not base.problem.effects and base.noise_inflation >= MODEL_ERROR:
         return _best_of(slot, needed, believed, looks, NUM_WIDE, successive)
     return found
 

@@ -1,4 +1,4 @@
-"""Lone samples far off, as a sensor's glitches are: no physics makes them between neighbours that are not.
+"""Lone samples far off, as a sensor's glitches are, between neighbours that are told well.
 
 Least squares lets a glitch drag its neighbours along, above all one at a recording's beginning. So they are looked for
 beside a fit under Student-t errors, from which they hardly take any weight.
@@ -9,15 +9,19 @@ from dataclasses import replace
 import numpy as np
 
 from det2stoc_bayes.measurement import Measurement
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
 from det2stoc_bayes.optimize import Fit, fit_many
 
 TAILS = Measurement(4.0)
 FAR, NEAR = 8.0, 4.0  # noise sds off of a glitch, and of its neighbours
-MOST = 0.8  # of the squared error beyond the noise's that they make, where nothing else need be missing
+MOST = 0.8  # of the squared error beyond the noise's that they make
 
 
-def glitches(fit: Fit) -> tuple[float, ...]:
-    """By how many noise sds lone samples are off, where they make most of what a fit leaves; empty otherwise."""
+def lone_errors(fit: Fit) -> tuple[float, ...]:
+    """By how many noise sds lone samples are off, where they make most of what a fit leaves; empty otherwise.
+
+    Without them the rest must be within the noise. What has no recorded neighbour on a side is held against the other.
+    """
     problem = fit.problem
     if problem.measurement.degrees_of_freedom is not None:
         return ()
@@ -27,8 +31,12 @@ def glitches(fit: Fit) -> tuple[float, ...]:
         return ()
     shape = problem.segments.values.shape
     bent = robust.linear.stacked[:, : shape[1] * shape[2], 0].reshape(shape)
-    off = np.where(problem.segments.observed, np.abs(TAILS.unbent(bent)), 0.0)
-    beside = np.pad(off, ((0, 0), (1, 1), (0, 0)))
-    lone = (off > FAR) & (np.maximum(beside[:, :-2], beside[:, 2:]) < NEAR)
-    beyond = (off**2).sum() - robust.linear.degrees_of_freedom
-    return tuple(off[lone].tolist()) if (off[lone] ** 2 - 1).sum() > MOST * max(beyond, 0.0) else ()
+    seen, off = problem.segments.observed, np.abs(TAILS.unbent(bent))
+    beside = np.pad(np.where(seen, off, np.nan), ((0, 0), (1, 1), (0, 0)), constant_values=np.nan)
+    beside = np.stack([beside[:, :-2], beside[:, 2:]])
+    told = np.isfinite(beside).any(0) & (np.nan_to_num(beside).max(0) < NEAR)
+    square, lone = np.where(seen, off, 0.0) ** 2, seen & (off > FAR) & told
+    freedom = max(robust.linear.degrees_of_freedom - problem.size, 1)
+    made, rest = (square[lone] - 1).sum(), square[~lone].sum()
+    most = made > MOST * max(square.sum() - freedom, 0.0)
+    return tuple(off[lone].tolist()) if most and rest < MODEL_ERROR * freedom else ()

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from det2stoc_bayes.mismatch.glitches import glitches
+from det2stoc_bayes.mismatch.glitches import lone_errors
 from det2stoc_bayes.mismatch.whiteness import Whiteness, whiteness
 from det2stoc_bayes.optimize import Fit
 
@@ -90,7 +90,7 @@ def check(fit: Fit, seed: int, num_replicates: int = NUM_REPLICATES) -> Predicti
     p = stats.gamma.sf(observed, mean**2 / variance, scale=variance / mean)  # chi2 with its moments
     given = np.array([c in fit.problem.simulator.study.noise for c in columns])
     found = PredictiveCheck(columns, np.where(given, p, np.nan), observed / mean, whiteness(fit))
-    return replace(found, glitches=glitches(fit)) if found.fails and given.any() else found
+    return replace(found, glitches=lone_errors(fit)) if found.fails and given.any() else found
 
 
 def _replicated(fit: Fit, random: np.random.Generator, count: int) -> Float[np.ndarray, "columns replicates"]:

@@ -163,7 +163,7 @@ def _completed(fit: Fit, found: Explanation, needed: float, looks: Looks) -> Fit
     if enough(fit, found.before) or len(found.after.problem.effects) == 0:
         return fit
     near = list(dict.fromkeys(r.placed for slot in found.slots for r in slot.ranked))
-    return grow(looks.at(fit, near), near, needed, looks, MOST_BESIDE + 1)[0]
+    return grow(looks.at(fit, near), near, needed, looks, len(fit.problem.effects) + MOST_BESIDE)[0]
 
 
 def _hopeless(curve: Fit, listed: Fit) -> bool:

@@ -16,7 +16,7 @@ from det2stoc_bayes.mismatch.contact.differences import STEPS, columns_of, stead
 from det2stoc_bayes.mismatch.contact.evolution import PATIENCE, evolved
 from det2stoc_bayes.mismatch.contact.fit import _along, _taught, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
-from det2stoc_bayes.mismatch.contact.judge import judged
+from det2stoc_bayes.mismatch.contact.judge import corrected, judged
 from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, climbed, nearer, with_memory, with_own
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.rollouts import LENGTH, rollouts
@@ -322,6 +322,7 @@ def test_a_last_addition_that_hardly_explains_anything_is_set_apart(problem, sli
     said = judged(base, rounds, False, 0, second, yardstick(second.fit, 0))
     assert said.verdict == "mismatch" and [e.effect.name for e in said.after.fit.problem.effects] == ["linear_drag"]
     assert len(said.places) == len(said.explains) == 1 and said.explains[0] > 0.9
+    assert corrected(said.after.fit, said.rod.replicas)
     assert [(p.placed.effect.name, share < 0.05) for p, share in said.negligible] == [("quadratic_drag", True)]
 
 

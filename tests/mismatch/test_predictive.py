@@ -48,6 +48,16 @@ def test_lone_samples_far_off_are_told_as_glitches(tmp_path, samples):
     assert 27 < min(found.glitches) <= max(found.glitches) < 33
 
 
+def test_a_misfit_between_holes_and_one_beside_a_glitch_are_no_glitches(tmp_path):
+    wrong = spring_problem(tmp_path / "wrong", push=push, noise=1e-3)
+    first, *rest = wrong.segments.recordings
+    values = first.values.copy()
+    values[1::2] = np.nan
+    assert not check(fit(wrong.on(cut((replace(first, values=values), *rest)))), 0).glitches
+    found = check(fit(spoilt(wrong, [20])), 0)
+    assert found.fails and not found.glitches and "unexplained" in found.text()
+
+
 def test_what_neighbours_share_is_no_glitch(tmp_path):
     found = check(fit(spoilt(spring_problem(tmp_path), [20, 21, 22])), 0)
     assert found.fails and not found.glitches and "unexplained" in found.text()

@@ -11,7 +11,7 @@ from det2stoc_bayes.mismatch.contact.pair import Pair, paired, with_memory
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.search import Round, alike, chances
 from det2stoc_bayes.mismatch.contact.top import topped
-from det2stoc_bayes.mismatch.contact.yardstick import Yardstick
+from det2stoc_bayes.mismatch.contact.yardstick import Yardstick, yardstick
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 
@@ -52,18 +52,18 @@ def judged(before: Pair, rounds: list[Round], fine: bool, seed: int, final: Pair
     """Names the additions that recordings which were not fitted ask for, and that nothing else could stand for."""
     taken = [r for r in rounds if r.taken is not None]
     # A short memory forgives what is missing: all are led as the last one is.
-    chain = [before, *(r.taken for r in taken[:-1] if r.taken is not None), *([final] if taken else [])]
+    chain = [before, *(r.base for r in taken[1:]), *([final] if taken else [])]
     start, *rest = (rod.of(with_memory(p, final.fit.followed.memory)) for p in chain)
-    # What a right model leaves scatters by a tenth from one set of its own recordings to the next: on these it leaves
-    # no more than the explanation does.
+    # What a right model leaves scatters by up to a quarter from one set of its own recordings to the next: on these it
+    # leaves no more than the explanation does.
     excess = start - min(rod.level, *rest, start)
     explains = tuple(float(np.clip(-s / max(excess, 1e-9), -1.0, 1.0)) for s in np.diff([start, *rest]))
     last = taken[-1].taken if taken else None
     if last is not None and len(taken) > 1 and explains[-1] < NEGLIGIBLE:  # the others stand without it
-        fewer, before_it = [r for r in rounds if r is not taken[-1]], taken[-2].taken
-        assert before_it is not None
-        rest_of_it = judged(before, fewer, fine, seed, topped_pair(before_it, seed), rod)
-        return replace(rest_of_it, negligible=(*rest_of_it.negligible, (last, explains[-1])))
+        shorter = topped_pair(taken[-1].base, seed)
+        fewer = [r for r in rounds if r is not taken[-1]]
+        others = judged(before, fewer, fine, seed, shorter, yardstick(shorter.fit, seed))
+        return replace(others, negligible=(*others.negligible, (last, max(explains[-1], 0.0))))
     left = rod.left(start, rod.of(final))
     random = np.random.default_rng(seed)
     places = tuple(classes(r, random) for r in taken)
