@@ -1,8 +1,8 @@
 """Lone samples far off, as a sensor's glitches are, between neighbours that are told well.
 
-Reading a recording drops those that its own smoothness shows (`recording_glitches`): not at its ends, nor where motion is
-rough; a model shows these, too. Least squares lets a glitch drag its neighbours along, above all one at a recording's beginning. So they are looked for
-beside a fit under Student-t errors, from which they hardly take any weight.
+Reading a recording drops those that its own smoothness shows (`recording_glitches`): not at its ends, nor where motion
+is rough; a model shows these, too. Least squares lets a glitch drag its neighbours along, above all one at a
+recording's beginning. So they are looked for beside a fit under Student-t errors, from which they hardly take weight.
 """
 
 from dataclasses import replace
