@@ -17,6 +17,7 @@ from scipy.special import logsumexp
 from det2stoc_bayes.density import Density, log_prior
 from det2stoc_bayes.errors import SamplingFailed
 from det2stoc_bayes.mismatch.coordinates import Affine, Coordinates, Population
+from det2stoc_bayes.mismatch.valley import Valley
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.populations import freed
 from det2stoc_bayes.psis import effective_draws, reliable, resampled, smooth, thinned
@@ -76,6 +77,8 @@ def believe(fit: Fit, share: float, seed: int, *, temper: Temper | None = None, 
         drawn.add(_budget(fit))
         if (trusted := drawn.k_hat < reliable(len(drawn.x))) and drawn.effective >= ENOUGH:
             return drawn.belief(own, "adapted" if k else "laplace+psis", num_draws)
+        if not k and (valley := Valley.about(density, coordinates)) is not None:
+            drawn = _Weighted(density, valley, seed)
     if not trusted and temper is not None:
         try:
             return drawn.tempered(own, temper, num_draws)

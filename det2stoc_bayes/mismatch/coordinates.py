@@ -25,6 +25,11 @@ class Coordinates(Protocol):
         """Of x and of z."""
         ...
 
+    @property
+    def spreads(self) -> int:
+        """How many coordinates, the first ones, are spreads of a psi by recording: given them the rest is Gaussian."""
+        ...
+
     def __call__(
         self, x: Float[np.ndarray, "points size"]
     ) -> tuple[Float[np.ndarray, "points size"], Float[np.ndarray, " points"]]:
@@ -44,6 +49,11 @@ class Affine:
     def size(self) -> int:
         """Of x and of z."""
         return len(self._center)
+
+    @property
+    def spreads(self) -> int:
+        """None."""
+        return 0
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """z, and log |dz / dx|."""
@@ -70,6 +80,11 @@ class Population:
     def size(self) -> int:
         """Of x and of z."""
         return len(self._sd) + len(self._pull)
+
+    @property
+    def spreads(self) -> int:
+        """One a psi that varies."""
+        return len(self._sd)
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """z, and log |dz / dx|."""
