@@ -15,6 +15,7 @@ from det2stoc_bayes.blind.systems import System
 
 PREROLL = 0.1  # s before the first sample from which both simulations start, so that late readings have a past
 DIVERGED = 1e4
+PARTS = 32  # of a step in which a joint's stop is met or left
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class _World:
                 law.prepare(model, e.element, e.parameters)
         mujoco.mj_setConst(model, mujoco.MjData(model))
         self.data = mujoco.MjData(model)
+        self.advance = _advance(model)
         self.forces: list[Any] = [law.push(model, e.element, e.parameters) for law, e in laws if law.push is not None]
         self.mappings = [
             law.receive(model, model.actuator(e.element).id, e.parameters) for law, e in laws if law.receive is not None
@@ -43,6 +45,13 @@ class _World:
         self.skew = float(np.prod([e.parameters["ratio"] for e in effects if e.name == "clock_skew"]))
 
         self.settling = [force for force in self.forces if hasattr(force, "settle")]
+        limited = np.flatnonzero(model.jnt_limited)
+        self._stopped, self._ranges = model.jnt_qposadr[limited], model.jnt_range[limited]
+
+    def meets_stop(self, before: np.ndarray, after: np.ndarray) -> bool:
+        """Whether a joint's limit, whose force sets in at once, is passed between two states."""
+        beyond = [state[self._stopped, None] > self._ranges for state in (before, after)]
+        return bool((beyond[0] != beyond[1]).any())
 
     @property
     def past(self) -> list[Any]:
@@ -91,7 +100,7 @@ def simulate_reality(
     """Reality from `start`, PREROLL before the first of the recorded `times`; NaN where it diverges.
 
     Kutta's 3/8 rule on MuJoCo's accelerations, at a step `finer` times below the believed one; forces are
-    evaluated at every stage and steps end where an input switches.
+    evaluated at every stage and steps end where an input switches; where a stop is met they are finer still.
     """
     world = _World(system, psi, effects)
     true = times / world.skew
@@ -124,7 +133,6 @@ def simulate_reality(
 
 def _integrate(world: _World, start: np.ndarray, signals: Signals, largest: float) -> tuple[np.ndarray, list]:
     """True states at the edges, and what forces with memory keep there."""
-    advance = _advance(world.model)
     states = np.full((signals.edges.size, start.size), np.nan)
     states[0] = state = start.copy()
     world.settle(state)
@@ -134,19 +142,30 @@ def _integrate(world: _World, start: np.ndarray, signals: Signals, largest: floa
         count = max(1, math.ceil(duration / largest - 1e-6))
         h = duration / count
         for _ in range(count):
-            k1 = world.rate(state, t, signals.at(piece, t))
-            k2 = world.rate(advance(state, (h / 3.0) * k1), t + h / 3.0, signals.at(piece, t + h / 3.0))
-            late = t + 2.0 * h / 3.0
-            k3 = world.rate(advance(state, h * (k2 - k1 / 3.0)), late, signals.at(piece, late))
-            k4 = world.rate(advance(state, h * (k1 - k2 + k3)), t + h, signals.at(piece, t + h))
-            state = advance(state, (h / 8.0) * (k1 + 3.0 * (k2 + k3) + k4))
-            world.settle(state)
+            after = _step(world, state, t, h, signals, piece)
+            if world.meets_stop(state, after):
+                for part in range(PARTS):
+                    state = _step(world, state, t + part * h / PARTS, h / PARTS, signals, piece)
+                    world.settle(state)
+            else:
+                state = after
+                world.settle(state)
             t += h
         pasts.append(world.past)
         if not np.abs(state).max() < DIVERGED:
             break
         states[piece + 1] = state
     return states, pasts
+
+
+def _step(world: _World, state: np.ndarray, t: float, h: float, signals: Signals, piece: int) -> np.ndarray:
+    """One step of Kutta's 3/8 rule."""
+    advance, late = world.advance, t + 2.0 * h / 3.0
+    k1 = world.rate(state, t, signals.at(piece, t))
+    k2 = world.rate(advance(state, (h / 3.0) * k1), t + h / 3.0, signals.at(piece, t + h / 3.0))
+    k3 = world.rate(advance(state, h * (k2 - k1 / 3.0)), late, signals.at(piece, late))
+    k4 = world.rate(advance(state, h * (k1 - k2 + k3)), t + h, signals.at(piece, t + h))
+    return advance(state, (h / 8.0) * (k1 + 3.0 * (k2 + k3) + k4))
 
 
 def _advance(model: mujoco.MjModel) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

@@ -32,12 +32,14 @@ def effect_on(name: str, element: str, **parameters) -> Effect:
     return Effect(name, LAWS[name].kind, element, parameters)
 
 
-def recorded(xml: str, effects, start, push: np.ndarray | float | None = None, medium: str = "") -> np.ndarray:
+def recorded(
+    xml: str, effects, start, push: np.ndarray | float | None = None, medium: str = "", **options
+) -> np.ndarray:
     """Columns of effects on a mechanism, from a state PREROLL before the first sample, under a command."""
     shape = (TIMES.size, 0 if push is None else 1)
     commands = np.broadcast_to(np.reshape(0.0 if push is None else push, (-1, 1)), shape).copy()
     effects = effects if isinstance(effects, tuple) else (effects,)
-    return simulate_reality(bare(xml, medium), {}, effects, np.array(start, float), TIMES, commands).columns
+    return simulate_reality(bare(xml, medium), {}, effects, np.array(start, float), TIMES, commands, **options).columns
 
 
 def run(effect: Effect, start: tuple[float, float], push: np.ndarray | float = 0.0) -> np.ndarray:
@@ -188,6 +190,14 @@ def test_a_stop_bars_one_side():
     position = run(joint_effect("hard_stop", position=0.3), (0.0, 1.0))[:, 0]
     assert 0.3 < position.max() < 0.33 and position[-1] < 0.31  # MuJoCo's limit is soft
     np.testing.assert_allclose(run(joint_effect("hard_stop", position=0.3), (0.0, -1.0))[:, 0], -SINCE, atol=1e-9)
+
+
+def test_a_stop_is_where_it_is_said_to_be_at_any_step():
+    """Its force sets in at once: by steps that do not know of it, it was met too late."""
+    swinging = FREE.replace('axis="1 0 0"/>', 'axis="1 0 0" stiffness="8"/>')
+    stop = effect_on("hard_stop", "x", position=0.3)
+    coarse, fine = (recorded(swinging, stop, (-0.4, 0.0), 0.0, finer=f)[:, 0] for f in (2, 128))
+    np.testing.assert_allclose(coarse, fine, atol=1e-4)  # measured: 3e-5; by even steps 8e-4
 
 
 def test_a_floating_body_weighs_less_and_one_that_takes_fluid_along_falls_slower():
