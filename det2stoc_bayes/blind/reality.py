@@ -45,7 +45,8 @@ class _World:
         self.skew = float(np.prod([e.parameters["ratio"] for e in effects if e.name == "clock_skew"]))
 
         self.settling = [force for force in self.forces if hasattr(force, "settle")]
-        limited = np.flatnonzero(model.jnt_limited)
+        single = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE))
+        limited = np.flatnonzero(model.jnt_limited.astype(bool) & single)
         self._stopped, self._ranges = model.jnt_qposadr[limited], model.jnt_range[limited]
 
     def meets_stop(self, before: np.ndarray, after: np.ndarray) -> bool:

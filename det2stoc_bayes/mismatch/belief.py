@@ -2,7 +2,8 @@
 
 The target is the one that the fit has: the prior times the likelihood to the power share / s2, which is 1 under the
 right model. Proposals are Student-t in coordinates where the posterior is roughly standard normal; the weights are
-Pareto-smoothed. Where k-hat says that they fail, the proposal adapts, and at last particles are tempered.
+Pareto-smoothed. Where k-hat says that they fail, coordinates follow a bent valley, the proposal adapts, and at last
+particles are tempered.
 """
 
 from collections.abc import Callable
@@ -78,14 +79,15 @@ def believe(fit: Fit, share: float, seed: int, *, temper: Temper | None = None, 
         if (trusted := drawn.k_hat < reliable(len(drawn.x))) and drawn.effective >= ENOUGH:
             return drawn.belief(own, "adapted" if k else "laplace+psis", num_draws)
         if not k and (valley := Valley.about(density, coordinates)) is not None:
-            drawn = _Weighted(density, valley, seed)
+            drawn = _Weighted(density, valley, seed, spent=len(drawn.x) + valley.evaluations, whole=valley.whole)
     if not trusted and temper is not None:
         try:
             return drawn.tempered(own, temper, num_draws)
         except SamplingFailed:
             pass  # k-hat already says how far the draws can be trusted
     if not trusted and 0 < drawn.effective < ENOUGH:  # a few draws in a bent valley would pass as its width
-        return replace(roughly(fit, share, seed, num_draws=num_draws), k_hat=drawn.k_hat, evaluations=len(drawn.x))
+        rough = roughly(fit, share, seed, num_draws=num_draws)
+        return replace(rough, k_hat=drawn.k_hat, evaluations=drawn.evaluations)
     return drawn.belief(own, "adapted", num_draws)
 
 
@@ -137,10 +139,16 @@ def _evaluations_so_far(fit: Fit) -> float:
 
 
 class _Weighted:
-    """Points of several proposals, weighted as draws of their mixture."""
+    """Points of several proposals, weighted as draws of their mixture.
 
-    def __init__(self, density: Density, coordinates: Coordinates, seed: int):
+    `spent`: evaluations before; where the coordinates do not follow the `whole` posterior no k-hat is to be trusted.
+    """
+
+    def __init__(
+        self, density: Density, coordinates: Coordinates, seed: int, *, spent: int = 0, whole: bool = True
+    ) -> None:
         self.density, self.coordinates, self.seed = density, coordinates, seed
+        self.spent, self.whole = spent, whole
         self.proposals: list[tuple[np.ndarray, np.ndarray, int]] = []  # centre, root, points
         size = density.size
         self.x, self.z = np.empty((0, size)), np.empty((0, size))
@@ -156,7 +164,13 @@ class _Weighted:
         z, terms, value = self._evaluate(x)
         self.x, self.z = np.concatenate([self.x, x]), np.concatenate([self.z, z])
         self.terms, self.log_target = np.concatenate([self.terms, terms]), np.concatenate([self.log_target, value])
-        self.log_weights, self.k_hat = smooth(self.log_target - self.log_proposal(self.x))
+        self.log_weights, k_hat = smooth(self.log_target - self.log_proposal(self.x))
+        self.k_hat = k_hat if self.whole else np.inf
+
+    @property
+    def evaluations(self) -> int:
+        """Of the density."""
+        return self.spent + len(self.x)
 
     @property
     def effective(self) -> float:
@@ -197,11 +211,11 @@ class _Weighted:
         if not weights.sum() > 0:
             raise SamplingFailed("no draw about the fit has a finite likelihood")
         chosen = resampled(weights, num_draws, np.random.default_rng(self.seed))
-        return Belief(fit, self.density, self.z[chosen], self.terms[chosen], method, self.k_hat, len(self.x))
+        return Belief(fit, self.density, self.z[chosen], self.terms[chosen], method, self.k_hat, self.evaluations)
 
     def tempered(self, fit: Fit, temper: Temper, num_draws: int) -> Belief:
         """Particles of the last proposal, tempered to the posterior."""
-        count = [len(self.x)]
+        count = [self.evaluations]
 
         def log_target(x):
             count[0] += len(x)

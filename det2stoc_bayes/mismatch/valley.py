@@ -7,7 +7,7 @@ shear, whose volume is known.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -19,17 +19,16 @@ from det2stoc_bayes.mismatch.coordinates import Coordinates
 
 ALONG = 1e-3  # of a coordinate: finite difference of the base's own map
 BENT = 1.0  # nats that one sd along a direction costs beyond the 0.5 of a Gaussian
-MOST = 2  # directions that are followed, the softest
-REACH = 3.5  # sds along
-LONGEST, SHORTEST = 0.75, 0.02  # sds between nodes
-ORDER = 4  # nodes of which a polynomial predicts the next
-NEAR, FAR = 1.5, 6.0  # widths by which a predicted floor may be off: for longer steps, and for the node to serve
-NEGLIGIBLE = 12.0  # nats below the fit: a valley is followed no further
-MOST_NODES = 24  # of a ray
+NEGLIGIBLE = 6.0  # nats below the best node: a valley is followed no further
+FIRST, SHORTEST = 0.4, 0.02  # sds between nodes
+FEWEST, ORDER = 5, 4  # nodes of a valley, and those of which a polynomial predicts the next
+GENTLE, FAR = 1.5, 6.0  # widths by which a predicted floor may be off: for longer steps, and for the node to serve
+MOST_EVALUATIONS = 500  # that following may take, but for what the last nodes need
 STEP = 0.05  # of a width: finite differences of residuals across the valley
 ITERATIONS, CHORDS = 4, 3  # across, at each node: sensitivities, and steps with the same ones
 SETTLED = 0.05  # nats that another step promises
 SHORTER = (1.0, 0.3, 0.1)  # of a step that overshoots
+ROUNDING = 1e-9  # of z: nearer to a wall is on it
 
 Residuals = Callable[[Float[np.ndarray, "points size"]], Float[np.ndarray, "points values"]]
 
@@ -59,17 +58,20 @@ class Target(Protocol):
 
 
 class Valley:
-    """`base`, sheared: coordinates along are the base's, those across are counted from the floor in its widths."""
+    """`base`, sheared: one coordinate goes along the valley, those across are counted from its floor in its widths."""
 
     def __init__(self, base: Coordinates, axes: Float[np.ndarray, "size free"], nodes: "Nodes"):
-        self._base, self._axes, self._count = base, axes, nodes.along.shape[1]
+        self._base, self._axes = base, axes
         across = nodes.floor.shape[1]
         self._lower = np.tril_indices(across)
         self._diagonal = self._lower[0] == self._lower[1]
         shapes = nodes.root[:, *self._lower]
         shapes[:, self._diagonal] = np.log(shapes[:, self._diagonal])
-        # Where there is one direction this is a cubic spline, linear beyond the nodes.
-        self._told = RBFInterpolator(nodes.along, np.concatenate([nodes.floor, shapes], 1), kernel="cubic", degree=1)
+        along = nodes.along[:, None]
+        self._ends = along.min(), along.max()
+        # Cubic splines, linear beyond the nodes; there the widths stay, whose logarithms would grow without end.
+        self._floor, self._shapes = (RBFInterpolator(along, v, kernel="cubic", degree=1) for v in (nodes.floor, shapes))
+        self.whole, self.evaluations = nodes.whole, nodes.evaluations
 
     @classmethod
     def about(cls, density: Target, base: Coordinates) -> Self | None:
@@ -81,12 +83,16 @@ class Valley:
         axes = np.zeros((base.size, free))
         axes[base.spreads :] = np.linalg.svd(jacobian, full_matrices=False)[2].T  # those that move z farthest first
         held = np.where(np.arange(base.size) < base.spreads, origin, 0.0)
-        along = _bent(_in_axes(density, base, axes, held), origin @ axes)[: min(MOST, free - 1)]
-        if not len(along):
+        along = _bent(_in_axes(density, base, axes, held), origin @ axes)[:1]
+        if not along:
             return None
         axes = axes[:, np.concatenate([along, np.delete(np.arange(free), along)])]
-        nodes = follow(_in_axes(density, base, axes, held), origin @ axes, len(along))
-        return cls(base, axes, nodes) if len(nodes.along) > 2 * len(along) else None
+        nodes = follow(_in_axes(density, base, axes, held), origin @ axes)
+        if len(nodes.along) < FEWEST:
+            return None
+        valley = cls(base, axes, nodes)
+        valley.whole &= not _bent(_in_axes(density, valley, np.eye(base.size)[:, base.spreads :], held), np.zeros(free))
+        return valley
 
     @property
     def size(self) -> int:
@@ -102,14 +108,12 @@ class Valley:
         self, x: Float[np.ndarray, "points size"]
     ) -> tuple[Float[np.ndarray, "points size"], Float[np.ndarray, " points"]]:
         """z, and log |dz / dx|."""
-        ends = np.cumsum([self.spreads, self._count])
-        spreads, along, across = np.split(x, ends, axis=1)
-        size = across.shape[1]
-        floor, shapes = np.split(self._told(along), [size], axis=1)
+        spreads, along, across = np.split(x, [self.spreads, self.spreads + 1], axis=1)
+        shapes = self._shapes(np.clip(along, *self._ends))
         log_widths = shapes[:, self._diagonal]
-        root = np.zeros((len(x), size, size))
+        root = np.zeros((len(x), across.shape[1], across.shape[1]))
         root[:, *self._lower] = np.where(self._diagonal, np.exp(np.where(self._diagonal, shapes, 0.0)), shapes)
-        moved = floor + np.einsum("pij,pj->pi", root, across)
+        moved = self._floor(along) + np.einsum("pij,pj->pi", root, across)
         inner = np.concatenate([along, moved], 1) @ self._axes.T
         inner[:, : self.spreads] = spreads
         z, volume = self._base(inner)
@@ -118,13 +122,16 @@ class Valley:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Places along a valley: the floor across there, its widths (lower triangular), energy, and whether it is one."""
+    """Places along a valley: the floor across there, widths about there (lower triangular), energy, and whether it is
+    one; `whole` if both ends are where nothing is believed any more."""
 
-    along: Float[np.ndarray, "nodes along"]
+    along: Float[np.ndarray, " nodes"]
     floor: Float[np.ndarray, "nodes across"]
     root: Float[np.ndarray, "nodes across across"]
     energy: Float[np.ndarray, " nodes"]
     found: Bool[np.ndarray, " nodes"]
+    whole: bool = False
+    evaluations: int = 0
 
     def kept(self, rows: Bool[np.ndarray, " nodes"]) -> "Nodes":
         """Some of them."""
@@ -132,20 +139,21 @@ class Nodes:
 
     def joined(self, others: "Nodes") -> "Nodes":
         """These and others."""
-        pairs = ((getattr(self, n), getattr(others, n)) for n in ("along", "floor", "root", "energy", "found"))
-        return Nodes(*(np.concatenate(pair) for pair in pairs))
+        return Nodes(
+            np.concatenate([self.along, others.along]),
+            np.concatenate([self.floor, others.floor]),
+            np.concatenate([self.root, others.root]),
+            np.concatenate([self.energy, others.energy]),
+            np.concatenate([self.found, others.found]),
+        )
 
-    def predicted(
-        self, begin: Float[np.ndarray, " along"], along: Float[np.ndarray, "rays along"]
-    ) -> Float[np.ndarray, "rays across"]:
-        """The floor further on, on each ray from `begin`, by a polynomial through the nearest nodes of its line."""
-        out = np.empty((len(along), self.floor.shape[1]))
-        for i, way in enumerate(along - begin):
-            t = (self.along - begin) @ way / (way @ way)  # of the way there; behind `begin` negative
-            mine = np.flatnonzero(np.abs(self.along - begin - t[:, None] * way).max(1) < 1e-9)
-            near = mine[np.argsort(np.abs(t[mine] - 1.0))][:ORDER]
-            out[i] = BarycentricInterpolator(t[near], self.floor[near])(1.0) if len(near) > 1 else self.floor[near[0]]
-        return out
+    def predicted(self, along: Float[np.ndarray, " places"]) -> Float[np.ndarray, "places across"]:
+        """The floor elsewhere, by a polynomial through the nearest nodes."""
+        if len(self.along) == 1:
+            return np.repeat(self.floor, len(along), 0)
+        near = [np.argsort(np.abs(self.along - t))[:ORDER] for t in along]
+        pairs = zip(along, near, strict=True)
+        return np.stack([BarycentricInterpolator(self.along[n], self.floor[n], rng=0)(t) for t, n in pairs])
 
     def widths_from(self, floor: Float[np.ndarray, "nodes across"]) -> Float[np.ndarray, " nodes"]:
         """How far each floor is from another, in its widths."""
@@ -174,7 +182,9 @@ def _in_axes(
     """Half whose squared length is minus the log posterior, up to a constant; NaN beyond a wall."""
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        z, beyond = density.walled(base(x @ axes.T + held)[0])
+        asked = base(x @ axes.T + held)[0]
+        z = density.walled(asked)[0]
+        beyond = np.abs(z - asked).max(1) > ROUNDING
         parts = [np.moveaxis(density.projected(z[rows]), -1, 0) for rows in density.chunks(len(z))]
         out = np.concatenate([np.concatenate(parts).reshape(len(z), -1), z], 1)
         out[beyond] = np.nan
@@ -190,67 +200,76 @@ def _energy(residuals: Float[np.ndarray, "points values"]) -> Float[np.ndarray, 
 
 
 def _bent(residuals: Residuals, origin: Float[np.ndarray, " size"]) -> list[int]:
-    """Directions along which one sd either way costs, on average, more than a Gaussian's."""
+    """Directions along which one sd either way, but for what is beyond a wall, costs more than a Gaussian's."""
     one = np.eye(len(origin))
     here, *costs = _energy(residuals(origin + np.concatenate([np.zeros((1, len(origin))), one, -one])))
     if not np.isfinite(here):
         return []
-    cost = np.mean(np.split(np.array(costs), 2), 0) - here
+    sides = np.stack(np.split(np.array(costs), 2)) - here
+    walled = ~np.isfinite(sides)
+    cost = np.where(walled, 0.0, sides).sum(0) / np.maximum((~walled).sum(0), 1)
     return [int(i) for i in np.flatnonzero(cost > 0.5 + BENT)]
 
 
-def follow(residuals: Residuals, origin: Float[np.ndarray, " size"], count: int) -> Nodes:
-    """Nodes along the first `count` coordinates; a ray ends where no floor is found, or none is believed."""
-    nodes = _across(residuals, origin[None, :count], origin[None, count:])
+def follow(residuals: Residuals, origin: Float[np.ndarray, " size"]) -> Nodes:
+    """Nodes along the first coordinate, both ways from `origin`, as far as a floor is found and believed."""
+    spent = 0
+
+    def counted(x: np.ndarray) -> np.ndarray:
+        nonlocal spent
+        spent += len(x)
+        return residuals(x)
+
+    nodes = _across(counted, origin[:1], origin[None, 1:])
     if not nodes.found.all():
         return nodes.kept(nodes.found)
-    angle = np.pi / 4 * np.arange(8)
-    rays = np.stack([np.cos(angle), np.sin(angle)], 1) if count == 2 else np.array([[-1.0], [1.0]])
-    at, step = np.zeros(len(rays)), np.full(len(rays), LONGEST / 2)
-    for _ in range(MOST_NODES):
-        live = np.flatnonzero((step > SHORTEST) & (at < REACH))
-        if not len(live):
-            break
-        along = origin[:count] + (at + step)[live, None] * rays[live]
-        guess = nodes.predicted(origin[:count], along)
-        tried = _across(residuals, along, guess)
+    ways, at = np.array([-1.0, 1.0]), np.zeros(2)
+    step, over = np.full(2, FIRST), np.zeros(2, bool)
+    while spent < MOST_EVALUATIONS and (live := np.flatnonzero((step > SHORTEST) & ~over)).size:
+        along = origin[0] + (at + step)[live] * ways[live]
+        guess = nodes.predicted(along)
+        tried = _across(counted, along, guess)
         off = tried.widths_from(guess)
         serves = tried.found & (off < FAR)
         nodes = nodes.joined(tried.kept(serves))
         at[live] += np.where(serves, step[live], 0.0)
-        longer = np.minimum(step[live] * np.where(off < NEAR, 1.6, 0.8), LONGEST)
-        over = serves & (tried.energy > nodes.energy[0] + NEGLIGIBLE)
-        step[live] = np.where(over, 0.0, np.where(serves, longer, step[live] / 3))
-    return nodes
+        over[live] = serves & (tried.energy > nodes.energy.min() + NEGLIGIBLE)
+        step[live] *= np.where(serves, np.where(off < GENTLE, 1.6, 0.8), 1.0 / 3.0)
+    return replace(nodes, whole=bool(over.all()), evaluations=spent)
 
 
 def _across(
-    residuals: Residuals, along: Float[np.ndarray, "nodes along"], guess: Float[np.ndarray, "nodes across"]
+    residuals: Residuals, along: Float[np.ndarray, " nodes"], guess: Float[np.ndarray, "nodes across"]
 ) -> Nodes:
     """Gauss-Newton across the valley at each node; its sensitivities serve for a few steps."""
     count, size = guess.shape
     floor, root = guess.copy(), np.repeat(np.eye(size)[None], count, 0)
-    found, lost = np.zeros(count, bool), np.zeros(count, bool)
 
     def at(rows: np.ndarray, across: np.ndarray) -> np.ndarray:
-        return residuals(np.concatenate([along[rows], across], 1))
+        return residuals(np.concatenate([along[rows, None], across], 1))
 
     here = at(np.arange(count), floor)
     slope = np.zeros((count, size, here.shape[1]))
-    lost |= ~np.isfinite(_energy(here))
+    found, lost = np.zeros(count, bool), ~np.isfinite(_energy(here))
     for _ in range(ITERATIONS):
         rows = np.flatnonzero(~found & ~lost)
         if not len(rows):
             break
-        steps = STEP * np.swapaxes(root[rows], 1, 2)
-        beside = at(np.repeat(rows, size), (floor[rows, None] + steps).reshape(-1, size)).reshape(len(rows), size, -1)
-        # A neighbour that diverges tells nothing.
-        slope[rows] = np.linalg.solve(steps, np.nan_to_num(beside - here[rows, None]))
         for row in rows:
-            precision = slope[row] @ slope[row].T
-            lost[row] = not (np.diag(precision) > 0.0).all()
-            root[row] = root[row] if lost[row] else scale_of(precision)
-        for _ in range(CHORDS):
+            steps = STEP * root[row].T
+            change = at(np.full(size, row), floor[row] + steps) - here[row]
+            barred = ~np.isfinite(change).all(1)
+            if barred.any():  # by a wall, or because it diverges
+                change[barred] = here[row] - at(np.full(barred.sum(), row), floor[row] - steps[barred])
+            lost[row] = not np.isfinite(change).all()
+            if lost[row]:
+                continue
+            slope[row] = np.linalg.solve(steps, change)
+            try:
+                root[row] = scale_of(slope[row] @ slope[row].T)
+            except np.linalg.LinAlgError:  # beyond double precision
+                lost[row] = True
+        for chord in range(CHORDS):
             rows = rows[~lost[rows]]
             pull = np.einsum("nji,njv,nv->ni", root[rows], slope[rows], here[rows])
             found[rows] = 0.5 * np.square(pull).sum(1) < SETTLED
@@ -264,5 +283,7 @@ def _across(
                 better = _energy(r) < _energy(here[rows[left]])
                 floor[rows[left[better]]], here[rows[left[better]]] = tried[better], r[better]
                 left = left[~better]
-            lost[rows[left]] = True
+            if chord == 0:
+                lost[rows[left]] = True
+            rows = np.delete(rows, left)  # later ones want new sensitivities
     return Nodes(along, floor, root, _energy(here), found)
