@@ -6,7 +6,7 @@ Gauss-Newton across the valley at nodes along it (a predictor and a corrector), 
 shear, whose volume is known.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Protocol, Self, runtime_checkable
 
@@ -29,8 +29,6 @@ ITERATIONS, CHORDS = 4, 3  # across, at each node: sensitivities, and steps with
 SETTLED = 0.05  # nats that another step promises
 SHORTER = (1.0, 0.3, 0.1)  # of a step that overshoots
 ROUNDING = 1e-9  # of z: nearer to a wall is on it
-
-Residuals = Callable[[Float[np.ndarray, "points size"]], Float[np.ndarray, "points values"]]
 
 
 @runtime_checkable
@@ -71,7 +69,7 @@ class Valley:
         self._ends = along.min(), along.max()
         # Cubic splines, linear beyond the nodes; there the widths stay, whose logarithms would grow without end.
         self._floor, self._shapes = (RBFInterpolator(along, v, kernel="cubic", degree=1) for v in (nodes.floor, shapes))
-        self.whole, self.evaluations = nodes.whole, nodes.evaluations
+        self.whole, self.evaluations = nodes.whole, 0
 
     @classmethod
     def about(cls, density: Target, base: Coordinates) -> Self | None:
@@ -83,15 +81,19 @@ class Valley:
         axes = np.zeros((base.size, free))
         axes[base.spreads :] = np.linalg.svd(jacobian, full_matrices=False)[2].T  # those that move z farthest first
         held = np.where(np.arange(base.size) < base.spreads, origin, 0.0)
-        along = _bent(_in_axes(density, base, axes, held), origin @ axes)[:1]
+        given = _Residuals(density, base, axes, held)
+        along = _bent(given, origin @ axes)[:1]
         if not along:
             return None
         axes = axes[:, np.concatenate([along, np.delete(np.arange(free), along)])]
-        nodes = follow(_in_axes(density, base, axes, held), origin @ axes)
+        ordered = _Residuals(density, base, axes, held)
+        nodes = _follow(ordered, origin @ axes)
         if len(nodes.along) < FEWEST:
             return None
         valley = cls(base, axes, nodes)
-        valley.whole &= not _bent(_in_axes(density, valley, np.eye(base.size)[:, base.spreads :], held), np.zeros(free))
+        straightened = _Residuals(density, valley, np.eye(base.size)[:, base.spreads :], held)
+        valley.whole &= not _bent(straightened, np.zeros(free))
+        valley.evaluations = sum(r.evaluations for r in (given, ordered, straightened))
         return valley
 
     @property
@@ -131,7 +133,6 @@ class Nodes:
     energy: Float[np.ndarray, " nodes"]
     found: Bool[np.ndarray, " nodes"]
     whole: bool = False
-    evaluations: int = 0
 
     def kept(self, rows: Bool[np.ndarray, " nodes"]) -> "Nodes":
         """Some of them."""
@@ -176,21 +177,28 @@ def _origin(density: Target, base: Coordinates) -> Float[np.ndarray, " size"]:
     return x
 
 
-def _in_axes(
-    density: Target, base: Coordinates, axes: Float[np.ndarray, "size free"], held: Float[np.ndarray, " size"]
-) -> Residuals:
-    """Half whose squared length is minus the log posterior, up to a constant; NaN beyond a wall."""
+class _Residuals:
+    """Half whose squared length is minus the log posterior, up to a constant; NaN beyond a wall. They are counted."""
 
-    def residuals(x: np.ndarray) -> np.ndarray:
-        asked = base(x @ axes.T + held)[0]
-        z = density.walled(asked)[0]
+    def __init__(
+        self,
+        density: Target,
+        base: Coordinates,
+        axes: Float[np.ndarray, "size free"],
+        held: Float[np.ndarray, " size"],
+    ):
+        self._density, self._base, self._axes, self._held = density, base, axes, held
+        self.evaluations = 0
+
+    def __call__(self, x: Float[np.ndarray, "points free"]) -> Float[np.ndarray, "points values"]:
+        self.evaluations += len(x)
+        asked = self._base(x @ self._axes.T + self._held)[0]
+        z = self._density.walled(asked)[0]
         beyond = np.abs(z - asked).max(1) > ROUNDING
-        parts = [np.moveaxis(density.projected(z[rows]), -1, 0) for rows in density.chunks(len(z))]
+        parts = [np.moveaxis(self._density.projected(z[rows]), -1, 0) for rows in self._density.chunks(len(z))]
         out = np.concatenate([np.concatenate(parts).reshape(len(z), -1), z], 1)
         out[beyond] = np.nan
         return out
-
-    return residuals
 
 
 def _energy(residuals: Float[np.ndarray, "points values"]) -> Float[np.ndarray, " points"]:
@@ -199,7 +207,7 @@ def _energy(residuals: Float[np.ndarray, "points values"]) -> Float[np.ndarray, 
     return np.where(np.isfinite(energy), energy, np.inf)
 
 
-def _bent(residuals: Residuals, origin: Float[np.ndarray, " size"]) -> list[int]:
+def _bent(residuals: _Residuals, origin: Float[np.ndarray, " size"]) -> list[int]:
     """Directions along which one sd either way, but for what is beyond a wall, costs more than a Gaussian's."""
     one = np.eye(len(origin))
     here, *costs = _energy(residuals(origin + np.concatenate([np.zeros((1, len(origin))), one, -one])))
@@ -211,35 +219,28 @@ def _bent(residuals: Residuals, origin: Float[np.ndarray, " size"]) -> list[int]
     return [int(i) for i in np.flatnonzero(cost > 0.5 + BENT)]
 
 
-def follow(residuals: Residuals, origin: Float[np.ndarray, " size"]) -> Nodes:
+def _follow(residuals: _Residuals, origin: Float[np.ndarray, " size"]) -> Nodes:
     """Nodes along the first coordinate, both ways from `origin`, as far as a floor is found and believed."""
-    spent = 0
-
-    def counted(x: np.ndarray) -> np.ndarray:
-        nonlocal spent
-        spent += len(x)
-        return residuals(x)
-
-    nodes = _across(counted, origin[:1], origin[None, 1:])
+    nodes = _across(residuals, origin[:1], origin[None, 1:])
     if not nodes.found.all():
         return nodes.kept(nodes.found)
     ways, at = np.array([-1.0, 1.0]), np.zeros(2)
     step, over = np.full(2, FIRST), np.zeros(2, bool)
-    while spent < MOST_EVALUATIONS and (live := np.flatnonzero((step > SHORTEST) & ~over)).size:
+    while residuals.evaluations < MOST_EVALUATIONS and (live := np.flatnonzero((step > SHORTEST) & ~over)).size:
         along = origin[0] + (at + step)[live] * ways[live]
         guess = nodes.predicted(along)
-        tried = _across(counted, along, guess)
+        tried = _across(residuals, along, guess)
         off = tried.widths_from(guess)
         serves = tried.found & (off < FAR)
         nodes = nodes.joined(tried.kept(serves))
         at[live] += np.where(serves, step[live], 0.0)
         over[live] = serves & (tried.energy > nodes.energy.min() + NEGLIGIBLE)
         step[live] *= np.where(serves, np.where(off < GENTLE, 1.6, 0.8), 1.0 / 3.0)
-    return replace(nodes, whole=bool(over.all()), evaluations=spent)
+    return replace(nodes, whole=bool(over.all()))
 
 
 def _across(
-    residuals: Residuals, along: Float[np.ndarray, " nodes"], guess: Float[np.ndarray, "nodes across"]
+    residuals: _Residuals, along: Float[np.ndarray, " nodes"], guess: Float[np.ndarray, "nodes across"]
 ) -> Nodes:
     """Gauss-Newton across the valley at each node; its sensitivities serve for a few steps."""
     count, size = guess.shape
