@@ -103,7 +103,9 @@ class Quantity(Entry):
 
     mean: Numbers
     sd: Numbers
-    interval: tuple[Numbers, ...] | None = Field(description="95 %: [low, high]; of a vector, one pair each")
+    interval: tuple[Numbers, ...] | None = Field(
+        description="95 %: [low, high]; of a vector, one pair each, all of them together"
+    )
     unit: str
 
 
