@@ -45,9 +45,7 @@ def test_intervals_of_a_vector_hold_all_components_at_once(correlation, sds):
     own, common = random.standard_normal((40_000, 3)), random.standard_normal((40_000, 1))
     values = 1 + 0.5 * (np.sqrt(1 - correlation) * own + np.sqrt(correlation) * common)
     bounds = np.array(quantity(values, "m").interval)
-    np.testing.assert_allclose(
-        bounds, np.tile([1 - 0.5 * sds, 1 + 0.5 * sds], (3, 1)), atol=0.04
-    )  # measured: 0.019, 0.004
+    np.testing.assert_allclose(bounds, np.tile([1 - 0.5 * sds, 1 + 0.5 * sds], (3, 1)), atol=0.04)  # 0.019, 0.004
     held = ((bounds[:, 0] <= values) & (values <= bounds[:, 1])).all(1).mean()
     assert held == pytest.approx(0.95, abs=0.001)  # measured: 0.9499 twice
 
