@@ -23,7 +23,8 @@ RACE = (10.0, 0.3, 50.0)  # how far behind the best sketch a candidate may be: n
 NUM_LEADERS, MOST_ITERATIONS = 2, 15  # that go on to their optimum while a misfit remains
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
 FURTHER, SOON = 5, 2  # iterations of those in the race, and of who went astray beside an explanation far ahead
-KEPT = 0.5  # of the screened evidence of what promises most: a fit that earns less is looked at again
+NUM_LED = 3  # that promise most: a fit of them that earns less than
+KEPT = 0.5  # of its screened evidence is looked at again
 AT_WALL = 1e-6  # prior sds from where a positive parameter is absent
 SETTLED = 0.3  # nats that a further iteration may gain
 Progress = Callable[[str, int, int], None]  # stage, done, total
@@ -95,15 +96,17 @@ def _refined(
     progress("refining the best", len(new), len(new))
     fits |= {f.problem.effects[-1]: f for f in found}
     share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
-    lead = next((s for s in worth if s.placed in fits), None)
-    if lead in new and not any(by_chance(f) for f in fits.values()):
-        fits[lead.placed] = _led_on(base, fits[lead.placed], lead, share)
+    for s in [s for s in worth if s.placed in fits][:NUM_LED]:
+        standing = [*fits.values(), *([] if present is None else [present])]
+        if s in new and not any(f.noise_inflation < MODEL_ERROR for f in standing):
+            fits[s.placed] = _led_on(base, fits[s.placed], s, share)
+    share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
     ranked = [Ranked(placed, f, gain(base, f, share)) for placed, f in fits.items()]
     return Slot(base, tuple(screened), tuple(sorted(ranked, key=lambda r: -r.gain)))
 
 
 def _led_on(base: Fit, fit: Fit, lead: Screened, share: float) -> Fit:
-    """A fit that keeps little of what promised most may be at a false optimum, which short stretches do not have.
+    """A fit that keeps little of what was promised may be at a false optimum, which short stretches do not have.
 
     psi, which may have gone astray with it, starts where it was.
     """
