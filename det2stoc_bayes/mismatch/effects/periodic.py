@@ -7,6 +7,7 @@ from det2stoc_bayes.mismatch.effects.joint import JointEffect
 from det2stoc_bayes.priors import Prior
 
 MOST_RATES = 240  # trials
+LEAST_PERIODS = 0.75  # of what repeats with time: half a period in a recording may be anything that is there all along
 
 
 class SineEffect(Effect):
@@ -68,9 +69,9 @@ class SineEffect(Effect):
 
 
 def timed_rates(typical):
-    """From half a period in the longest recording to half the sampling rate, MOST_RATES of them; and their pitch."""
+    """From LEAST_PERIODS in the longest recording to half the sampling rate, MOST_RATES of them; and their pitch."""
     pitch = 0.5 / typical.duration
-    return pitch, min(max(0.5 / typical.sampling, 4 * pitch), MOST_RATES * pitch), pitch
+    return LEAST_PERIODS / typical.duration, min(max(0.5 / typical.sampling, 4 * pitch), MOST_RATES * pitch), pitch
 
 
 class TimedEffect(SineEffect):
