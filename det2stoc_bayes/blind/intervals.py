@@ -15,7 +15,7 @@ ANGLES = ("phase", "direction")
 class Estimates:
     """Of an effect's size, its first parameter but angles: is it covered, relative error, interval width, narrowness.
 
-    `inside` says of every parameter whether its interval holds it: of a vector, whether all judged components'.
+    `inside` says of every parameter whether its interval holds it, of a vector whether all do: not judged in part.
     """
 
     covers: bool | None = None
@@ -46,7 +46,8 @@ def compare_parameters(truth: Json, given: Json, judged: Mapping[str, list[int]]
         if key in ANGLES:
             parts = [(v + 2.0 * math.pi * round((m - v) / (2.0 * math.pi)), m, a, b) for v, m, a, b in parts]
         mine = [low <= v <= high for v, _, low, high in parts]
-        inside += [all(mine)] if mine else []
+        whole = len(parts) == (len(value) if isinstance(value, list) else 1)
+        inside += [all(mine)] if whole else []
         length = math.hypot(*(v - NEUTRAL.get(key, 0.0) for v, *_ in parts))
         if size is None and length > 0.0 and key not in ANGLES:
             error = math.hypot(*(m - v for v, m, *_ in parts))

@@ -97,7 +97,7 @@ def summarize(rows: Sequence[Row]) -> Summary:
 
 
 def pooled(rows: Iterable[Row]) -> tuple[Coverage, ...]:
-    """Intervals of every scalar parameter and component by itself.
+    """Intervals of every parameter by itself, a vector as one.
 
     Those of effects that were named, those of psi where all was told by its own name, both together, and the other psi.
     """

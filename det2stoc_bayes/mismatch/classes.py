@@ -14,7 +14,8 @@ AGREEMENT = 0.3  # noise sds (rms) within which predictions agree
 SIGMAS = 2.0  # by which the recordings could tell two predictions apart at most: below it nothing is told
 WEAK = 0.01  # of the precision of effects' priors
 FREE = 0.98  # of the prior's variance: a direction of which this much is left is not determined
-LIKELIHOOD = 1.0  # nats within which the best fits agree
+LIKELIHOOD = 1.0  # nats within which the best fits agree,
+PARAMETER = 3.0  # and for each parameter more: by chance two gain over 7 nats in one of a thousand (Wilks' theorem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +73,8 @@ def _alike(a: Ranked, b: Ranked, share: float) -> bool:
     apart = (left_a - left_b) ** 2 / s2
     if share * np.nansum(apart) < SIGMAS**2:
         return True
-    more = abs(a.placed.size - b.placed.size)  # parameters; each gains half a nat by chance, seldom more than two
-    if 0.5 * share * abs(chi2_a - chi2_b) / s2 > LIKELIHOOD * (1 + 2 * more):
+    more = abs(a.placed.size - b.placed.size)
+    if 0.5 * share * abs(chi2_a - chi2_b) / s2 > LIKELIHOOD + PARAMETER * more:
         return False
     return float(np.sqrt(np.nanmean(apart))) < AGREEMENT
 

@@ -104,7 +104,7 @@ class Quantity(Entry):
     mean: Numbers
     sd: Numbers
     interval: tuple[Numbers, ...] | None = Field(
-        description="95 %: [low, high]; of a vector, one pair each, all of them together"
+        description="95 %: [low, high]; of a vector, pairs that hold all of it"
     )
     unit: str
 

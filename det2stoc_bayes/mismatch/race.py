@@ -1,6 +1,6 @@
 """From candidates beside a fit to the few that are refined: screen, sketch, and fit those that stay in the race."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +23,8 @@ RACE = (10.0, 0.3, 50.0)  # how far behind the best sketch a candidate may be: n
 NUM_LEADERS, MOST_ITERATIONS = 2, 15  # that go on to their optimum while a misfit remains
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
 FURTHER, SOON = 5, 2  # iterations of those in the race, and of who went astray beside an explanation far ahead
-NUM_LED = 3  # that promise most: a fit of them that earns less than
-KEPT = 0.5  # of its screened evidence is looked at again
+KEPT = 0.5  # of the screened evidence: a fit that earns less may be at a false optimum
+NUM_LED = 3  # that promise most, whose fits are looked at for that
 AT_WALL = 1e-6  # prior sds from where a positive parameter is absent
 SETTLED = 0.3  # nats that a further iteration may gain
 Progress = Callable[[str, int, int], None]  # stage, done, total
@@ -95,14 +95,27 @@ def _refined(
     found = race(base, [added(base, t.change, [(t, t.coefficients)]) for s in new for t in _starts(s)], present=present)
     progress("refining the best", len(new), len(new))
     fits |= {f.problem.effects[-1]: f for f in found}
-    share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
-    for s in [s for s in worth if s.placed in fits][:NUM_LED]:
-        standing = [*fits.values(), *([] if present is None else [present])]
-        if s in new and not any(f.noise_inflation < MODEL_ERROR for f in standing):
+    there = _standing(base, present)
+    for s in [s for s in worth if s.placed in fits and s in new][:NUM_LED]:
+        standing, share = [*fits.values(), *there], _share(fits.values())
+        reached = max(gain(base, f, share) for f in standing)
+        if s.log_evidence > reached and not any(by_chance(f) for f in standing):
             fits[s.placed] = _led_on(base, fits[s.placed], s, share)
-    share = effective_share(min(fits.values(), key=lambda f: f.chi2)) if fits else 1.0
+    share = _share(fits.values())
     ranked = [Ranked(placed, f, gain(base, f, share)) for placed, f in fits.items()]
     return Slot(base, tuple(screened), tuple(sorted(ranked, key=lambda r: -r.gain)))
+
+
+def _share(fits: Iterable[Fit]) -> float:
+    """Independent samples per sample, by what the best fit leaves."""
+    best = min(fits, key=lambda f: f.chi2, default=None)
+    return 1.0 if best is None else effective_share(best)
+
+
+def _standing(base: Fit, present: Fit | None) -> list[Fit]:
+    """The fit of what stands in a place, where it is of the same samples."""
+    here = present is not None and present.problem.segments.key == base.problem.segments.key
+    return [present] if present is not None and here else []
 
 
 def _led_on(base: Fit, fit: Fit, lead: Screened, share: float) -> Fit:
@@ -145,7 +158,7 @@ def refine_pairs(
     found = {frozenset(f.problem.effects[-2:]): f for f in race(base, points, most=most // 2)}
     known |= {p.key: found.get(p.key) for p in new}
     fits = [f for f in (known[p.key] for p in worth) if f is not None]
-    share = effective_share(min(fits, key=lambda f: f.chi2)) if fits else 1.0
+    share = _share(fits)
     return sorted(fits, key=lambda f: -gain(base, f, share))
 
 
@@ -177,8 +190,7 @@ def race(
     fits = [f for f in sketch(base, points, tolerance=tolerance(base)) if f is not None]
     if not fits:
         return []
-    here = present is not None and present.problem.segments.key == base.problem.segments.key
-    standing = [present] if present is not None and here else []
+    standing = _standing(base, present)
     known = [f for f in standing if by_chance(f)]
     ahead = min([*known, *(f for f in fits if allowed(f, first))] or fits, key=lambda f: f.chi2)
     share = effective_share(ahead)

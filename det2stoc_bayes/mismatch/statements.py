@@ -36,8 +36,8 @@ def quantity(values: Float[np.ndarray, "draws *components"], unit: str, *, circu
     if circular:
         centre = np.angle(np.exp(1j * values).mean())
         values = centre + np.angle(np.exp(1j * (values - centre)))
-    outside = 0.5 * (1 - (INTERVAL if values.ndim == 1 else _simultaneous(values)))
-    bounds = np.quantile(values, (outside, 1 - outside), axis=0).T
+    level = INTERVAL if values.ndim == 1 or not np.isfinite(values).all() else _simultaneous(values)
+    bounds = np.quantile(values, (0.5 - 0.5 * level, 0.5 + 0.5 * level), axis=0, method="hazen").T
     return finding.Quantity.model_validate(
         {"mean": values.mean(0), "sd": values.std(0), "interval": bounds, "unit": unit}
     )
@@ -46,7 +46,7 @@ def quantity(values: Float[np.ndarray, "draws *components"], unit: str, *, circu
 def _simultaneous(values: Float[np.ndarray, "draws components"]) -> float:
     """The level of each component's interval at which 95 % of draws lie in all (Besag et al., 1995, section 6.3)."""
     rank = (stats.rankdata(values, axis=0) - 0.5) / len(values)
-    return float(np.quantile(np.abs(2 * rank - 1).max(1), INTERVAL))
+    return float(np.quantile(np.abs(2 * rank - 1).max(1), INTERVAL, method="higher"))
 
 
 def parameters(

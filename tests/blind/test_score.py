@@ -120,9 +120,18 @@ def test_vectors_are_judged_where_the_study_sees_them():
     assert (
         told.covers and told.error == pytest.approx(0.2) and told.width == pytest.approx(math.hypot(0.04, 0.04) / 0.05)
     )
-    assert told.narrow is False
+    assert told.narrow is False and told.inside == ()  # its intervals hold all three at once, of which two are judged
     given["parameters"]["offset"]["interval"][2] = [0.045, 0.055]
     assert score({**ANSWER, "effects": [truth]}, claim(given)).effects[0].estimates.covers is False
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_vector_is_pooled_as_one(seen):
+    truth = entry("gravity_error", "body", "rod", change=2.0, offset=[0.03, 0.04])
+    low = 0.02 if seen else 0.05
+    offset = {"mean": [0.03, 0.06], "sd": [0.01] * 2, "interval": [[0.01, 0.05], [low, 0.09]]}
+    given = entry("gravity_error", "body", "rod", change=estimate(2.0, 1.9, 2.1), offset=offset)
+    assert score({**ANSWER, "effects": [truth]}, claim(given)).effects[0].estimates.inside == (True, seen)
 
 
 PUSH = entry("constant_force", "joint", "rail", force=2.0)

@@ -12,7 +12,7 @@ from det2stoc_bayes.engines.base import EffectRows
 from det2stoc_bayes.engines.magnitudes import Magnitudes
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.changes import changes
-from det2stoc_bayes.mismatch.effects import Typical
+from det2stoc_bayes.mismatch.effects import CATALOGUE, Typical
 from det2stoc_bayes.segments import cut
 
 STEPS = 5 * np.arange(41)  # 0.4 s
@@ -100,6 +100,16 @@ def test_slow_motions_are_tried_where_recordings_are_cut(fitted):
         if placed.effect.name in ("periodic_force", "base_vibration"):
             slowest = min(t.columns[0]["frequency"] for t in same.effect.trials(same.typical))
             assert slowest < 1.1 / 0.4  # one period in a recording; in a stretch at least four times as much
+
+
+@pytest.mark.parametrize("duration", [0.4, np.nextafter(0.4, 1), 3.0, 7.0, 10.0, 11.0])
+@pytest.mark.parametrize("name", ["periodic_force", "base_vibration"])
+def test_what_repeats_is_tried_from_one_period_in_a_recording_on(duration, name):
+    typical = Typical(force=1.0, speed=1.0, span=1.0, inertia=1.0, duration=duration, sampling=0.01)
+    trials = [t.columns[0]["frequency"] for t in CATALOGUE[name].trials(typical)]
+    np.testing.assert_allclose(duration * np.array(trials[:4]), [1.0, 1.5, 2.0, 2.5])
+    prior = CATALOGUE[name].priors(typical)["frequency"]
+    assert float(prior.from_normal(np.array(-9.0))) == pytest.approx(0.75 / duration)  # half of one is a constant
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -119,17 +119,24 @@ def test_a_fit_that_keeps_little_of_what_was_promised_is_led_on_by_short_stretch
     assert module._led_on(base, led, promise, 1.0) is led
 
 
-def test_not_the_first_alone_is_led_on_until_one_explains(tmp_path, monkeypatch):
-    """The truth promised second most and is stuck; a third, behind it, is not looked at again once it explains."""
+@pytest.mark.parametrize(
+    ("names", "led"),
+    [
+        (("viscous_damping", "cogging_torque", "constant_force"), 2),
+        (("viscous_damping", "constant_force", "quadratic_damping", "cogging_torque"), 3),
+    ],
+)
+def test_not_the_first_alone_is_led_on_until_one_explains(names, led, tmp_path, monkeypatch):
+    """The truth is stuck: second most promising it is found, and who is behind it left alone; fourth it is too late."""
 
     def push(model, data):
         data.qfrc_applied[0] = 2.0 * np.sin(30 * data.qpos[0] + 0.5)
 
     base, typical = fit(spring_problem(tmp_path, push=push, noise=1e-3)), Typical(5.0, 1.0, 0.6, 1.2)
-    names = ("viscous_damping", "cogging_torque", "constant_force")
     placed = [place(base.problem, name, "slide", typical) for name in names]
-    near = placed[1].effect.to_normal({"amplitude": 1.0, "cycles": 29.0, "phase": 0.6}, typical)
-    ends = ([0.01], near, [0.01])
+    truth = placed[names.index("cogging_torque")]
+    near = truth.effect.to_normal({"amplitude": 1.0, "cycles": 29.0, "phase": 0.6}, typical)
+    ends = [near if p is truth else [0.01] for p in placed]
     stuck = [
         fit(base.problem.with_effects([p]), [*base.point.z, *z], max_iterations=0)
         for p, z in zip(placed, ends, strict=True)
@@ -147,6 +154,6 @@ def test_not_the_first_alone_is_led_on_until_one_explains(tmp_path, monkeypatch)
         Screened(p, p.effect.trials(typical)[0], 1e4 - i, 0.0, np.zeros(len(p.effect.trials(typical)[0].columns)), none)
         for i, p in enumerate(placed)
     ]
-    slot = module._refined(base, promised, (), 3, lambda *_: None, None)
-    assert asked == ["viscous_damping", "cogging_torque"]
-    assert slot.ranked[0].placed is placed[1] and by_chance(slot.ranked[0].fit)
+    slot = module._refined(base, promised, (), len(placed), lambda *_: None, None)
+    assert asked == list(names[:led])
+    assert by_chance(slot.ranked[0].fit) is (truth.effect.name in asked)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, normal
-from det2stoc_bayes.mismatch.effects.periodic import timed_rates
+from det2stoc_bayes.mismatch.effects.periodic import ladder, timed_rates
 from det2stoc_bayes.priors import Prior
 
 WIDE = 2.0  # rad, a phase's prior scale: a negative amplitude is the phase on the other side
@@ -51,7 +51,6 @@ class BaseVibration(Effect):
     def trials(self, typical):
         """A sine and a cosine column along each axis for each of a ladder of frequencies."""
         low, high, pitch = timed_rates(typical)
-        grid = np.unique(np.round(np.arange(low, high, pitch), 6))
         return [
             Trial(
                 tuple(
@@ -61,7 +60,7 @@ class BaseVibration(Effect):
                     for shift in (0.0, np.pi / 2)
                 )
             )
-            for f in grid[grid > low]
+            for f in ladder(low, high, pitch)
         ]
 
     def combine(self, trial, coefficients, typical):

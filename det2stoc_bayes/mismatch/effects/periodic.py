@@ -7,7 +7,8 @@ from det2stoc_bayes.mismatch.effects.joint import JointEffect
 from det2stoc_bayes.priors import Prior
 
 MOST_RATES = 240  # trials
-LEAST_PERIODS = 0.75  # of what repeats with time: half a period in a recording may be anything that is there all along
+LEAST_PERIODS = 0.75  # in a recording of what repeats with time: half a period stands for a constant
+TINY = 1e-9
 
 
 class SineEffect(Effect):
@@ -51,10 +52,9 @@ class SineEffect(Effect):
         low, high, pitch = self._rates(typical)
         amplitude, rate, phase = (p.name for p in self.parameters)
         size = 0.01 * self._scale(typical)
-        grid = np.unique(np.round(np.arange(low, high, pitch), 6))
         return [
             Trial(tuple({amplitude: size, rate: r, phase: shift} for shift in (0.0, np.pi / 2)))
-            for r in grid[grid > low]
+            for r in ladder(low, high, pitch)
         ]
 
     def combine(self, trial, coefficients, typical):
@@ -68,8 +68,13 @@ class SineEffect(Effect):
         }
 
 
+def ladder(low, high, pitch):
+    """Multiples of a pitch between two rates."""
+    return pitch * np.arange(np.floor(low / pitch + TINY) + 1, np.ceil(high / pitch - TINY))
+
+
 def timed_rates(typical):
-    """From LEAST_PERIODS in the longest recording to half the sampling rate, MOST_RATES of them; and their pitch."""
+    """From LEAST_PERIODS in the longest recording to half the sampling rate, at most MOST_RATES; and their pitch."""
     pitch = 0.5 / typical.duration
     return LEAST_PERIODS / typical.duration, min(max(0.5 / typical.sampling, 4 * pitch), MOST_RATES * pitch), pitch
 
