@@ -103,9 +103,7 @@ class Quantity(Entry):
 
     mean: Numbers
     sd: Numbers
-    interval: tuple[Numbers, ...] | None = Field(
-        description="95 %: [low, high]; of a vector, pairs that hold all of it"
-    )
+    interval: tuple[Numbers, ...] | None = Field(description="95 %: [low, high]; of a vector, pairs that hold it whole")
     unit: str
 
 
