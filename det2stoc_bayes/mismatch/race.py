@@ -24,7 +24,7 @@ NUM_LEADERS, MOST_ITERATIONS = 2, 15  # that go on to their optimum while a misf
 LEAST_GAIN = 7.0  # nats beyond the log number of candidates: below it an addition is chance
 FURTHER, SOON = 5, 2  # iterations of those in the race, and of who went astray beside an explanation far ahead
 KEPT = 0.5  # of the screened evidence: a fit that earns less may be at a false optimum
-NUM_LED = 3  # that promise most, whose fits are looked at for that
+NUM_LED = 3  # that promise most, of which the first is looked at for that, and others where they end below the base
 AT_WALL = 1e-6  # prior sds from where a positive parameter is absent
 SETTLED = 0.3  # nats that a further iteration may gain
 Progress = Callable[[str, int, int], None]  # stage, done, total
@@ -96,10 +96,11 @@ def _refined(
     progress("refining the best", len(new), len(new))
     fits |= {f.problem.effects[-1]: f for f in found}
     there = _standing(base, present)
-    for s in [s for s in worth if s.placed in fits and s in new][:NUM_LED]:
+    for i, s in enumerate([s for s in worth if s.placed in fits and s in new][:NUM_LED]):
         standing, share = [*fits.values(), *there], _share(fits.values())
         reached = max(gain(base, f, share) for f in standing)
-        if s.log_evidence > reached and not any(by_chance(f) for f in standing):
+        astray = i == 0 or gain(base, fits[s.placed], share) < 0
+        if astray and s.log_evidence > reached and not any(by_chance(f) for f in standing):
             fits[s.placed] = _led_on(base, fits[s.placed], s, share)
     share = _share(fits.values())
     ranked = [Ranked(placed, f, gain(base, f, share)) for placed, f in fits.items()]
