@@ -115,8 +115,9 @@ def _share(fits: Iterable[Fit]) -> float:
 
 def _standing(base: Fit, present: Fit | None) -> list[Fit]:
     """The fit of what stands in a place, where it is of the same samples."""
-    here = present is not None and present.problem.segments.key == base.problem.segments.key
-    return [present] if present is not None and here else []
+    if present is None or present.problem.segments.key != base.problem.segments.key:
+        return []
+    return [present]
 
 
 def _led_on(base: Fit, fit: Fit, lead: Screened, share: float) -> Fit:
