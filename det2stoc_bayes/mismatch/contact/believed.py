@@ -1,7 +1,8 @@
 """The believed model's fit: psi wherever the prior has it, and how its simulations are led and integrated.
 
-A short memory forgives a wrong psi, and where simulations rattle even favours one that rattles less: such a fit drew
-its own contact with it. So psi is looked for at a middle memory, by no derivative, before anything is chosen there.
+A short memory forgives a wrong psi: such a fit drew its own contact with it. So psi is looked for at a middle memory,
+by no derivative, before anything is chosen there. And a lone simulation, which the noise that leads it makes rattle,
+favours a psi that rattles less: a wrong friction hid an effect so. So the mean of some foretells.
 """
 
 import numpy as np
@@ -18,12 +19,13 @@ from det2stoc_bayes.mismatch.contact.telling import telling
 MIDDLE = 12.0  # samples: long enough for a wrong psi to show, short enough for a missing effect not to hide a right one
 POPULATION, GENERATIONS = 12, 8  # of the search
 REGARDS = ((False, 1.0), (True, 1.0), (True, 0.1))  # whether contact holds bodies, and the share of its jolts
-FINER = 4  # times: contact lasts for a few steps, so that shorter ones tell more than a higher order does
-FINER_CERTAIN = 2.0  # standard errors by which a finer integration must tell recordings better
+MEMBERS = 2  # simulations whose mean foretells
+FINER = (2, 4)  # times: contact lasts for a few steps, so that shorter ones tell more than a higher order does
+FINER_CERTAIN = 1.5  # standard errors by which they must tell recordings better: each is twice as dear
 
 
-def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
-    """The believed model fitted, under an integration that converges where that tells recordings better.
+def believed(followed: Followed, held: Followed) -> tuple[Pair, int]:
+    """The believed model fitted, and under how many times as short steps: shorter ones where these tell more.
 
     Its memory and what it regards of contact are those by which it foretells recordings best, of the columns that it
     tells at all.
@@ -32,9 +34,13 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
     z, step = searched(middle), float(followed.problem.simulator.model.opt.timestep)
     starts = (z, np.zeros_like(z))  # beside what is missing a search may end at the prior's edge
     plain = min((from_start(middle, start) for start in starts), key=lambda f: f.loss)
-    fine = from_start(middle.integrated(step / FINER, None), plain.z)
-    finer = certainty(plain.losses - fine.losses, followed.recording) >= FINER_CERTAIN
-    fits = grounded(climbed(fine if finer else plain))
+    best, times = fit_followed(plain.followed.averaged(MEMBERS), plain.z, iterations=SKETCH), 1
+    for finer in FINER:
+        fine = from_start(middle.averaged(MEMBERS).integrated(step / finer, None), best.z)
+        if certainty(best.losses - fine.losses, followed.recording) < FINER_CERTAIN:
+            break
+        best, times = fine, finer
+    fits = grounded(climbed(best))
     heard = telling(min(fits, key=lambda f: f.loss))
     # What rattles has led psi astray: each is fitted to what is heard before one is chosen, and hears what it tells.
     told = [fit_followed(f.followed.hearing(heard), f.z, like=f) for f in fits]
@@ -42,7 +48,7 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, bool]:
     both = heard & telling(at(whole.followed, best.z))
     if both.any() and (both != heard).any():
         best = fit_followed(best.followed.hearing(both), best.z, like=best)
-    return paired(climbed(best), held), finer
+    return paired(climbed(best), held), times
 
 
 def searched(followed: Followed) -> Float[np.ndarray, " size"]:

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.compose import PACKAGES, UNLIKELY
 from det2stoc_bayes.mismatch.conflict import strained, tail_probability
-from det2stoc_bayes.mismatch.contact.believed import FINER
 from det2stoc_bayes.mismatch.contact.experiment import proposed
 from det2stoc_bayes.mismatch.contact.judge import Class, Verdict, corrected, covariance, log10_bayes, worst_column
 from det2stoc_bayes.mismatch.contact.pair import Pair
@@ -75,7 +74,7 @@ class ContactComposer:
                 "seed": self.seed,
                 "belief": {"before": self._belief(said.before), "after": self._belief(said.shown)},
                 "predictive_check": {"p_value": None, "worst_channel": worst, "inflation": ratio},
-                "contact": {"memory": _memories(said), "finer_integration": said.fine},
+                "contact": {"memory": _memories(said), "finer_integration": said.finer > 1},
                 "negligible": [
                     {"name": p.placed.effect.name, "element": element(p.placed).model_dump(), "explains": s}
                     for p, s in said.negligible
@@ -180,10 +179,9 @@ class ContactComposer:
         return " ".join(t for t in [*(e.statement for e in effects), gone, self._finer()] if t)
 
     def _finer(self) -> str:
-        if not self.said.fine:
+        if self.said.finer == 1:
             return ""
-        error = "Errors of the believed integration show in so good a fit"
-        return f"{error}; hypotheses were compared by steps {FINER} times as short."
+        return f"Steps {self.said.finer} times as short tell the recordings better; hypotheses were compared by them."
 
     def _all_well(self, psi) -> str:
         said = self.said

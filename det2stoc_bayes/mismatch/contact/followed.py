@@ -23,6 +23,7 @@ from det2stoc_bayes.segments import cut
 
 BLOCK = 10  # samples that are counted together: their errors are not independent
 MEMORY = 6.0  # samples over which an error is remembered
+SPREAD, SEED = 0.5, 8  # noise sds by which members are parted, and its draws
 FARTHEST = 1e6  # noise sds at which the error of a diverged prediction is counted
 
 
@@ -34,6 +35,7 @@ class Followed:
     memory: float = MEMORY
     heard: Bool[np.ndarray, " columns"] | None = None  # columns that have a say; all where it is None
     ground: Ground | None = None  # whose simulations say what contact does to uncertainty
+    members: int = 1  # simulations whose mean foretells
 
     @cached_property
     def _made(self) -> tuple[Observer, Float[np.ndarray, "recordings samples columns"]]:
@@ -112,8 +114,18 @@ class Followed:
         return replace(self.problem.request(z, repeat_start(self.start, len(z))), observer=self.observer)
 
     def _of(self, request: Request) -> np.ndarray:
-        predicted = self.problem.simulator.rollout(request)
+        predicted = np.mean([self.problem.simulator.rollout(replace(request, observer=o)) for o in self._observers], 0)
         return self.in_blocks(self.problem.residuals(predicted).reshape(predicted.shape))
+
+    @cached_property
+    def _observers(self) -> tuple[Observer, ...]:
+        """One for each member: noise that is drawn anew, once with either sign, parts them where contact is chaotic."""
+        if self.members == 1:
+            return (self.observer,)
+        random, values = np.random.default_rng(SEED), self.observer.values
+        shape = (self.members // 2, *values.shape)
+        noise = SPREAD * self.problem.noise * random.standard_normal(shape)
+        return tuple(replace(self.observer, values=values + s * e) for e in noise for s in (1.0, -1.0))
 
     def in_blocks(
         self, errors: Float[np.ndarray, "rows times columns"]
@@ -148,13 +160,17 @@ class Followed:
         """Whether simulations are led and heard alike, so that sensitivities are the same."""
         mine, its = self.problem, other.problem
         alike = (mine.segments.key, mine.timestep, mine.integrator) == (its.segments.key, its.timestep, its.integrator)
-        return alike and self.memory == other.memory and self.heard is other.heard and self.ground is other.ground
+        return alike and self._led == other._led
+
+    @property
+    def _led(self) -> tuple[float, int, int, int]:
+        return self.memory, id(self.heard), id(self.ground), self.members
 
     def led_as(self, other: "Followed") -> "Followed":
         """The same hypothesis and recordings, led and heard as others are."""
-        if (self.memory, id(self.heard), id(self.ground)) == (other.memory, id(other.heard), id(other.ground)):
+        if self._led == other._led:
             return self
-        return replace(self, memory=other.memory, heard=other.heard, ground=other.ground)
+        return replace(self, memory=other.memory, heard=other.heard, ground=other.ground, members=other.members)
 
     def with_problem(self, problem: Problem) -> "Followed":
         """The same recordings under another hypothesis."""
@@ -163,7 +179,7 @@ class Followed:
             other.__dict__.update(
                 (k, v)
                 for k, v in self.__dict__.items()
-                if k in ("_made", "_sd", "start", "volumes", "log_spread", "_real")
+                if k in ("_made", "_observers", "_sd", "start", "volumes", "log_spread", "_real")
             )
         return other
 
@@ -182,10 +198,16 @@ class Followed:
     def only(self, rows: Int[np.ndarray, " rows"]) -> "Followed":
         """Some of the recordings; unknowns of the others stay."""
         some = replace(self, problem=on_rows(self.problem, rows))
-        observer, spread = self._made
-        parts = {n: getattr(observer, n)[rows] for n in ("gains", "values", "seen")}
-        some.__dict__["_made"] = replace(observer, **parts), spread[rows]
+        names = "gains", "values", "seen"
+        observer, *members = (
+            replace(o, **{n: getattr(o, n)[rows] for n in names}) for o in (self.observer, *self._observers)
+        )
+        some.__dict__.update(_made=(observer, self._made[1][rows]), _observers=tuple(members))
         return some
+
+    def averaged(self, members: int) -> "Followed":
+        """The same, foretold by the mean of so many simulations: 1, or an even number."""
+        return self if members == self.members else replace(self, members=members)
 
     def grounded(self, ground: Ground) -> "Followed":
         """The same, led with regard to what contact does to a hypothesis' simulations."""
