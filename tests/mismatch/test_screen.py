@@ -20,7 +20,7 @@ from simulated import (
 from det2stoc_bayes.engines.magnitudes import Magnitudes
 from det2stoc_bayes.mismatch import screen as module
 from det2stoc_bayes.mismatch.candidates import candidates
-from det2stoc_bayes.mismatch.effects import Typical, rotating_frame
+from det2stoc_bayes.mismatch.effects import Typical, attraction, rotating_frame
 from det2stoc_bayes.mismatch.effects.base import Trial
 from det2stoc_bayes.mismatch.screen import Screened, screen
 
@@ -216,6 +216,31 @@ def test_a_point_in_space_is_approached(tmp_path, monkeypatch, sharpened):
     best = screen(fit(problem), [effect])[0]
     off = np.linalg.norm(np.array(best.trial.columns[0]["centre"]) - CENTRE)
     assert (off < 0.05) == sharpened  # measured: 0.01 and 0.19
+
+
+FLOATING = """
+<body name="drone"><joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
+  <joint name="z" type="slide" axis="0 0 1"/><geom size="0.1" mass="0.5" contype="0" conaffinity="0"/></body>"""
+
+
+@pytest.mark.parametrize("amid", [True, False])
+def test_a_point_amid_a_bodys_ways_is_approached(tmp_path, monkeypatch, amid):
+    """One way of six passes by it at 0.15 m; from rings around all of them alone the search ends far off."""
+    if not amid:
+        monkeypatch.setattr(attraction, "DISTANCES", (1.5, 4.0))
+    random, starts = np.random.default_rng(3), []
+    for _ in range(6):
+        begin, end = 3.0 * random.normal(size=3), random.normal(size=3)
+        starts.append((begin.tolist(), (end - begin).tolist()))
+    centre = np.sum(starts[0], axis=0) + 0.15 * np.array([0.6, 0.0, 0.8])
+    xml = model_xml(FLOATING, option='<option timestep="0.005" gravity="0 0 0"/>')
+    made = recordings(xml, starts, 5 * np.arange(80), 3 * (1e-3,) + 3 * (1e-2,), push=pulled(centre, 0.1))
+    problem = pose(make_study(tmp_path / "pulled", xml, noise_table(1e-3, 1e-2), made))
+    base, effect = fit(problem), place(problem, "attraction", problem.simulator.elements("body", ())[0].name)
+    effect = replace(effect, typical=Magnitudes(problem).of(effect.element))
+    best = screen(base, [effect])[0]
+    left = 1 - best.gain / base.chi2
+    assert (left < 0.1) == amid  # measured: 0.03 and 0.49
 
 
 def turning(rate):

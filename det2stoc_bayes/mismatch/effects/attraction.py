@@ -9,7 +9,7 @@ from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, normal
 from det2stoc_bayes.mismatch.effects.body import BodyEffect
 
 WIDE = 2.0  # spreads of the body's own places, as far as points in space are looked for
-DISTANCES = (1.5, 4.0)  # spreads at which the first ones are
+DISTANCES = (0.4, 1.5, 4.0)  # spreads at which the first ones are: amid the ways of the body, and beyond them
 DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, d)) in (1, 3)])
 UNIT = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 CLOSEST = 0.5  # spreads, below which a point's distance is no scale of its own
