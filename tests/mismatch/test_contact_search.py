@@ -108,6 +108,27 @@ def test_where_all_lose_evidence_none_is_looked_at_further(followed, problem, po
     assert more.gain(right) < 0 < more.gain(wrong) and went_on == ([] if led else [wrong])
 
 
+@pytest.mark.parametrize("memory", [12.0, 50.0])
+def test_where_a_longer_memory_serves_no_held_out_recording_the_shorter_is_asked(
+    followed, problem, pool, monkeypatch, memory
+):
+    """Rolling friction of a thrown box gained 625 nats with the longer one, and lost 30 on what was held out."""
+    drag, asked = named(pool, "linear_drag"), []
+    base = pair_of(followed, [z_of(problem, 0.5 * TRUTH)])
+    short, longer = (pair_of(f, [z_of(problem, TRUTH), 0.0], drag) for f in (followed, followed.remembering(memory)))
+    monkeypatch.setattr(search, "bumps", lambda *_: 0.0)
+    monkeypatch.setattr(search, "_screened", lambda *_: [])
+    monkeypatch.setattr(search, "refined", lambda *_: [short])
+    monkeypatch.setattr(search, "near_remembered", lambda *_: [longer])
+    monkeypatch.setattr(search, "better_base", lambda base, *_, longer: base)
+    monkeypatch.setattr(search, "smoothed", lambda base, found, *_: (found, search.LUCK))
+    monkeypatch.setattr(search, "earns", lambda base, more, *_: asked.append(more) or more is short)
+    one = search.look(base, pool, quiet)
+    other = memory != followed.memory
+    assert asked == ([longer, short] if other else [longer])
+    assert one.taken is (short if other else None) and one.refined == (short if other else longer,)
+
+
 def test_a_missing_drag_is_screened_and_fitted(problem, followed, pool):
     """Recordings are those of a puck with drag, by plain MuJoCo; size and friction are found beside each other."""
     study = problem.simulator.study

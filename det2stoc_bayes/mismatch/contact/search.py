@@ -82,6 +82,7 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     base = better_base(first, found, first_luck, longer=False)
     if not found or found[0].gain(base) <= -first_luck:  # for additions are not beyond their bumps yet
         return Round(base, tuple(screened), tuple(found), None, first_luck)
+    short = {p.placed: p for p in found}
     found = near_remembered(base, found, progress)
     base = better_base(base, found, first_luck, longer=True)
     found, luck = smoothed(base, found, first_luck, progress, seed)
@@ -89,8 +90,11 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     rivals = [p.placed for p in found]
     chance = partial(gain_by_chance, base, rivals, seed, progress, luck)  # which takes long, and is seldom asked for
     needed = max(threshold(len(others)), luck)
-    taken = found[0] if earns(base, found[0], needed, chance) else None
-    return Round(base, tuple(screened), tuple(found), taken, luck)
+    # A longer memory may serve the fitted recordings alone: then the one that the first fit had must do.
+    ways = (found[0], short[found[0].placed])
+    longer = ways[0].fit.followed.memory != ways[1].fit.followed.memory
+    taken = next((way for way in ways[: 1 + longer] if earns(base, way, needed, chance)), None)
+    return Round(base, tuple(screened), (taken or found[0], *found[1:]), taken, luck)
 
 
 def beyond_bumps(pair: Pair, luck: float) -> Pair:
