@@ -235,7 +235,10 @@ def test_the_believed_model_is_fitted_with_its_memory_and_what_it_tells(problem)
     pair, times = believed(whole.on(recordings[:3]), whole.on(recordings[3:]))
     assert pair.fit.followed.memory == pair.held.followed.memory >= 6
     np.testing.assert_array_equal(pair.fit.followed.heard, pair.held.followed.heard)
-    assert times in (1, *FINER) and pair.fit.followed.members == pair.held.followed.members == MEMBERS
+    step = problem.simulator.model.opt.timestep
+    used = {f.problem.timestep or step for f in (pair.fit, pair.held)}
+    assert times in (1, *FINER) and used == {step / times}
+    assert pair.fit.followed.members == pair.held.followed.members == MEMBERS
     assert pair.fit.scales is pair.held.scales
 
 

@@ -12,6 +12,7 @@ from det2stoc_bayes.mismatch.contact import screen as screening
 from det2stoc_bayes.mismatch.contact import search
 from det2stoc_bayes.mismatch.contact.fit import at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.mismatch.contact.judge import classes
 from det2stoc_bayes.mismatch.contact.pair import Pair, sketched, without_last
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
@@ -108,25 +109,33 @@ def test_where_all_lose_evidence_none_is_looked_at_further(followed, problem, po
     assert more.gain(right) < 0 < more.gain(wrong) and went_on == ([] if led else [wrong])
 
 
-@pytest.mark.parametrize("memory", [12.0, 50.0])
-def test_where_a_longer_memory_serves_no_held_out_recording_the_shorter_is_asked(
-    followed, problem, pool, monkeypatch, memory
+@pytest.mark.parametrize(("memory", "held"), [(12.0, 0.0), (50.0, 0.0), (50.0, 10.0)])
+def test_where_a_longer_memory_serves_no_held_out_recording_the_first_is_asked(
+    followed, problem, pool, monkeypatch, memory, held
 ):
     """Rolling friction of a thrown box gained 625 nats with the longer one, and lost 30 on what was held out."""
-    drag, asked = named(pool, "linear_drag"), []
+    drag, scale, asked = named(pool, "linear_drag"), named(pool, "gravity_error"), []
     base = pair_of(followed, [z_of(problem, 0.5 * TRUTH)])
-    short, longer = (pair_of(f, [z_of(problem, TRUTH), 0.0], drag) for f in (followed, followed.remembering(memory)))
+    longer_led = followed.remembering(memory)
+    short, longer = (pair_of(f, [z_of(problem, TRUTH), 0.0], drag) for f in (followed, longer_led))
+    rival, rival_longer = (pair_of(f, [z_of(problem, 0.6 * TRUTH), 0.0], scale) for f in (followed, longer_led))
     monkeypatch.setattr(search, "bumps", lambda *_: 0.0)
     monkeypatch.setattr(search, "_screened", lambda *_: [])
-    monkeypatch.setattr(search, "refined", lambda *_: [short])
-    monkeypatch.setattr(search, "near_remembered", lambda *_: [longer])
+    monkeypatch.setattr(search, "refined", lambda *_: [short, rival])
+    monkeypatch.setattr(search, "near_remembered", lambda *_: [longer, rival_longer])
     monkeypatch.setattr(search, "better_base", lambda base, *_, longer: base)
     monkeypatch.setattr(search, "smoothed", lambda base, found, *_: (found, search.LUCK))
+    monkeypatch.setattr(search, "held_gain", lambda *_: held)
     monkeypatch.setattr(search, "earns", lambda base, more, *_: asked.append(more) or more is short)
     one = search.look(base, pool, quiet)
-    other = memory != followed.memory
-    assert asked == ([longer, short] if other else [longer])
-    assert one.taken is (short if other else None) and one.refined == (short if other else longer,)
+    again = memory != followed.memory and held < search.HELD_GAIN
+    assert asked == ([longer, short] if again else [longer])
+    assert one.taken is (short if again else None)
+    assert one.refined[0] is (short if again else longer)
+    assert len({p.fit.followed.memory for p in one.refined}) == 1  # who stands beside it is told alike
+    if again:
+        first = classes(one, np.random.default_rng(0))[0]
+        assert first.members[0] is short and first.chance > 0.9
 
 
 def test_a_missing_drag_is_screened_and_fitted(problem, followed, pool):

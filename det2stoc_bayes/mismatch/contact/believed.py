@@ -2,7 +2,7 @@
 
 A short memory forgives a wrong psi: such a fit drew its own contact with it. So psi is looked for at a middle memory,
 by no derivative, before anything is chosen there. And a lone simulation, which the noise that leads it makes rattle,
-favours a psi that rattles less: a wrong friction hid an effect so. So the mean of some foretells.
+favours a psi that rattles less: a wrong friction hid an effect so. So the mean of some foretells, but in that search.
 """
 
 import numpy as np
@@ -33,10 +33,10 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, int]:
     middle = followed.remembering(MIDDLE)
     z, step = searched(middle), float(followed.problem.simulator.model.opt.timestep)
     starts = (z, np.zeros_like(z))  # beside what is missing a search may end at the prior's edge
-    plain = min((from_start(middle, start) for start in starts), key=lambda f: f.loss)
-    best, times = fit_followed(plain.followed.averaged(MEMBERS), plain.z, iterations=SKETCH), 1
+    middle = middle.averaged(MEMBERS)
+    best, times = min((from_start(middle, start) for start in starts), key=lambda f: f.loss), 1
     for finer in FINER:
-        fine = from_start(middle.averaged(MEMBERS).integrated(step / finer, None), best.z)
+        fine = from_start(middle.integrated(step / finer, None), best.z)
         if certainty(best.losses - fine.losses, followed.recording) < FINER_CERTAIN:
             break
         best, times = fine, finer

@@ -104,7 +104,10 @@ class Followed:
     def drawn(
         self, z: Float[np.ndarray, " size"], random: np.random.Generator
     ) -> Float[np.ndarray, "recordings samples columns"]:
-        """Samples as the hypothesis itself makes them: innovations are drawn, and followed."""
+        """Samples as the hypothesis itself makes them: innovations are drawn, and followed by one simulation.
+
+        The mean of some foretells them with errors beyond the drawn ones, as it does what was recorded of a real body.
+        """
         noise = self._sd * random.standard_normal(self._sd.shape)
         observer = replace(self.observer, values=noise, drawn=True)
         predicted = self.problem.simulator.rollout(replace(self._request(z[None]), observer=observer))
@@ -114,8 +117,9 @@ class Followed:
         return replace(self.problem.request(z, repeat_start(self.start, len(z))), observer=self.observer)
 
     def _of(self, request: Request) -> np.ndarray:
-        predicted = np.mean([self.problem.simulator.rollout(replace(request, observer=o)) for o in self._observers], 0)
-        return self.in_blocks(self.problem.residuals(predicted).reshape(predicted.shape))
+        # Of each the residuals, for q and -q are one turn; where one diverges nothing is foretold.
+        each = (self.problem.simulator.rollout(replace(request, observer=o)) for o in self._observers)
+        return self.in_blocks(np.mean([self.problem.residuals(e).reshape(e.shape) for e in each], axis=0))
 
     @cached_property
     def _observers(self) -> tuple[Observer, ...]:
@@ -207,6 +211,7 @@ class Followed:
 
     def averaged(self, members: int) -> "Followed":
         """The same, foretold by the mean of so many simulations: 1, or an even number."""
+        assert members == 1 or members % 2 == 0, members
         return self if members == self.members else replace(self, members=members)
 
     def grounded(self, ground: Ground) -> "Followed":

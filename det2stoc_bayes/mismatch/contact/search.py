@@ -90,11 +90,14 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     rivals = [p.placed for p in found]
     chance = partial(gain_by_chance, base, rivals, seed, progress, luck)  # which takes long, and is seldom asked for
     needed = max(threshold(len(others)), luck)
-    # A longer memory may serve the fitted recordings alone: then the one that the first fit had must do.
-    ways = (found[0], short[found[0].placed])
-    longer = ways[0].fit.followed.memory != ways[1].fit.followed.memory
-    taken = next((way for way in ways[: 1 + longer] if earns(base, way, needed, chance)), None)
-    return Round(base, tuple(screened), (taken or found[0], *found[1:]), taken, luck)
+    taken = found[0] if earns(base, found[0], needed, chance) else None
+    longer = found[0].fit.followed.memory > short[found[0].placed].fit.followed.memory
+    if taken is None and longer and held_gain(base, found[0]) < HELD_GAIN:
+        # That memory may serve the fitted recordings alone: then all are asked with the one they had first.
+        first = as_the_best(best_of_each([short[p.placed] for p in found]), luck)
+        if first[0].placed == found[0].placed and earns(base, first[0], needed, chance):
+            found, taken = first, first[0]
+    return Round(base, tuple(screened), tuple(found), taken, luck)
 
 
 def beyond_bumps(pair: Pair, luck: float) -> Pair:
@@ -238,10 +241,15 @@ def earns(base: Pair, more: Pair, needed: float, chance: Callable[[float], float
     sure = certainty(gains[fitted], more.owners[fitted])
     if more.held.followed.count < LEAST_BLOCKS:
         return sure > 2 * LEAST_CERTAIN
-    if gains[~fitted].sum() < HELD_GAIN or gains[fitted].sum() < needed * fitted.mean():
+    if held_gain(base, more) < HELD_GAIN or gains[fitted].sum() < needed * fitted.mean():
         return False  # what is gained on the one alone is no merit of the addition
     most = float(gains[fitted].sum()) / TIMES
     return sure >= LEAST_CERTAIN or chance(most) < most
+
+
+def held_gain(base: Pair, more: Pair) -> float:
+    """Nats that an addition gains on recordings held out."""
+    return float(base.held.losses.sum() - more.held.losses.sum())
 
 
 def gain_by_chance(
