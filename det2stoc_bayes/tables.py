@@ -81,9 +81,7 @@ def check_tables(checked: "det2stoc_bayes.identifiability.Check") -> RenderableT
             p.name, escape(target_text(p)), prior_text(p), p.varies, number(c.mean), number(c.sd, 2),
             number(c.sd_ratio, 2), f"[{COLOUR[c.verdict]}]{c.verdict}",
         )  # fmt: skip
-    recordings = table(
-        "recordings", "name", "role", "samples>", "seconds>", "columns>", "misfit before fitting / noise sd>"
-    )
+    recordings = table("recordings", "name", "role", "samples>", "seconds>", "columns>", "misfit unfitted / noise sd>")
     for r in checked.recordings:
         misfit = "diverges" if r.misfit == math.inf else number(r.misfit, 3)
         recordings.add_row(escape(r.name), r.role, str(r.samples), number(r.seconds), str(len(r.columns)), misfit)
