@@ -90,7 +90,7 @@ def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
     rows = _recordings(study, misfit)
     progress("fitting psi quickly", 0, 1)
     if touches(problem):
-        followed = fit_believed(problem, hold_out=False)[0].fit
+        followed = fit_believed(problem, hold_out=False).fit
         progress("fitting psi quickly", 1, 1)
         _warn_led(columns, followed.scales.values)
         found = _parameters(followed.problem, followed.z, followed.covariance)

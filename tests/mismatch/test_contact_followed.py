@@ -225,19 +225,19 @@ def test_pairs_know_their_recordings_and_a_posterior_what_it_took(problem):
     begun = counter.simulations
     rod = yardstick(fit, 0)
     assert rod.evaluations == (counter.simulations - begun) // 3 > 0
-    belief = ContactComposer(judged(pair, [], 1, 0, pair, rod), [], 0)._belief(pair)
+    belief = ContactComposer(judged(pair, [], 0, pair, rod), [], 0)._belief(pair)
     assert belief["evaluations"] == rod.evaluations
 
 
 def test_the_believed_model_is_fitted_with_its_memory_and_what_it_tells(problem):
     recordings = problem.simulator.study.recordings
     whole = Followed(problem)
-    pair, times = believed(whole.on(recordings[:3]), whole.on(recordings[3:]))
+    pair = believed(whole.on(recordings[:3]), whole.on(recordings[3:]))
     assert pair.fit.followed.memory == pair.held.followed.memory >= 6
     np.testing.assert_array_equal(pair.fit.followed.heard, pair.held.followed.heard)
     step = problem.simulator.model.opt.timestep
-    used = {f.problem.timestep or step for f in (pair.fit, pair.held)}
-    assert times in (1, *FINER) and used == {step / times}
+    (used,) = {f.problem.timestep or step for f in (pair.fit, pair.held)}
+    assert step / used in (1, *FINER)
     assert pair.fit.followed.members == pair.held.followed.members == MEMBERS
     assert pair.fit.scales is pair.held.scales
 
@@ -297,7 +297,7 @@ def test_an_effect_beside_which_psi_strains_at_its_prior_is_no_sure_name(tmp_pat
         pairs.append(Pair(at(fit, there), at(held, there, at(fit, there).scales)))
     base, more = pairs
     assert (abs(z[0]) > 3) == (verdict == "inconclusive")
-    said = judged(base, [Round(base, (), (more,), more)], 1, 0, more, yardstick(more.fit, 0))
+    said = judged(base, [Round(base, (), (more,), more)], 0, more, yardstick(more.fit, 0))
     assert said.verdict == verdict and said.places[0][0].chance == 1.0
 
 
@@ -317,7 +317,7 @@ def test_what_an_effect_explains_is_told_with_one_memory(problem, sliding):
     led = with_memory(base, 50.0)
     assert led.fit.followed.memory == led.held.followed.memory == 50.0 and with_memory(led, 50.0) is led
     # friction is free in the refit, so that the passenger explains nothing; told at two memories it would
-    said = judged(base, [Round(base, (), (more,), more)], 1, 0, more, yardstick(more.fit, 0))
+    said = judged(base, [Round(base, (), (more,), more)], 0, more, yardstick(more.fit, 0))
     assert said.verdict == "no_mismatch" and said.negligible[0][1] < 0.05
 
 
@@ -334,7 +334,7 @@ def test_a_level_above_what_was_left_before_makes_nothing_negligible(problem, sl
     base, more = pairs
     rod = yardstick(more.fit, 0)
     rod = replace(rod, level=1.1 * rod.of(base))
-    assert judged(base, [Round(base, (), (more,), more)], 1, 0, more, rod).verdict == verdict
+    assert judged(base, [Round(base, (), (more,), more)], 0, more, rod).verdict == verdict
 
 
 def test_a_last_addition_that_hardly_explains_anything_is_set_apart(problem, sliding):
@@ -351,7 +351,7 @@ def test_a_last_addition_that_hardly_explains_anything_is_set_apart(problem, sli
         pairs.append(Pair(at(fit, z), at(held, z, at(fit, z).scales)))
     base, first, second = pairs
     rounds = [Round(base, (), (first,), first), Round(first, (), (second,), second)]
-    said = judged(base, rounds, 1, 0, second, yardstick(second.fit, 0))
+    said = judged(base, rounds, 0, second, yardstick(second.fit, 0))
     assert said.verdict == "mismatch" and [e.effect.name for e in said.after.fit.problem.effects] == ["linear_drag"]
     assert len(said.places) == len(said.explains) == 1 and said.explains[0] > 0.9
     assert corrected(said.after.fit, said.rod.replicas)

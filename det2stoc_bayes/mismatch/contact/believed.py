@@ -24,8 +24,8 @@ FINER = (2, 4)  # times: contact lasts for a few steps, so that shorter ones tel
 FINER_CERTAIN = 1.5  # standard errors by which they must tell recordings better: each is twice as dear
 
 
-def believed(followed: Followed, held: Followed) -> tuple[Pair, int]:
-    """The believed model fitted, and under how many times as short steps: shorter ones where these tell more.
+def believed(followed: Followed, held: Followed) -> Pair:
+    """The believed model fitted, under shorter steps than its own where these tell recordings better.
 
     Its memory and what it regards of contact are those by which it foretells recordings best, of the columns that it
     tells at all.
@@ -34,12 +34,12 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, int]:
     z, step = searched(middle), float(followed.problem.simulator.model.opt.timestep)
     starts = (z, np.zeros_like(z))  # beside what is missing a search may end at the prior's edge
     middle = middle.averaged(MEMBERS)
-    best, times = min((from_start(middle, start) for start in starts), key=lambda f: f.loss), 1
-    for finer in FINER:
-        fine = from_start(middle.integrated(step / finer, None), best.z)
+    best = min((from_start(middle, start) for start in starts), key=lambda f: f.loss)
+    for times in FINER:
+        fine = from_start(middle.integrated(step / times, None), best.z)
         if certainty(best.losses - fine.losses, followed.recording) < FINER_CERTAIN:
             break
-        best, times = fine, finer
+        best = fine
     fits = grounded(climbed(best))
     heard = telling(min(fits, key=lambda f: f.loss))
     # What rattles has led psi astray: each is fitted to what is heard before one is chosen, and hears what it tells.
@@ -48,7 +48,7 @@ def believed(followed: Followed, held: Followed) -> tuple[Pair, int]:
     both = heard & telling(at(whole.followed, best.z))
     if both.any() and (both != heard).any():
         best = fit_followed(best.followed.hearing(both), best.z, like=best)
-    return paired(climbed(best), held), times
+    return paired(climbed(best), held)
 
 
 def searched(followed: Followed) -> Float[np.ndarray, " size"]:

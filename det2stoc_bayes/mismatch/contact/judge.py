@@ -39,7 +39,6 @@ class Verdict:
     excess: float  # mean squared held-out error beyond what the model itself would leave, over the latter
     rod: Yardstick
     rounds: tuple[Round, ...]
-    finer: int  # times as short are the steps by which hypotheses were compared
     negligible: tuple[tuple[Pair, float], ...] = ()
 
     @property
@@ -47,8 +46,15 @@ class Verdict:
         """Nothing is added that could not be named."""
         return self.after if self.verdict == "mismatch" else self.before
 
+    @property
+    def finer(self) -> int:
+        """How many times as short as the model's own the steps are by which hypotheses were compared."""
+        problem = self.before.fit.problem
+        step = problem.simulator.model.opt.timestep
+        return round(step / (problem.timestep or step))
 
-def judged(before: Pair, rounds: list[Round], finer: int, seed: int, final: Pair, rod: Yardstick) -> Verdict:
+
+def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yardstick) -> Verdict:
     """Names the additions that recordings which were not fitted ask for, and that nothing else could stand for."""
     taken = [r for r in rounds if r.taken is not None]
     # A short memory forgives what is missing: all are led as the last one is.
@@ -62,12 +68,12 @@ def judged(before: Pair, rounds: list[Round], finer: int, seed: int, final: Pair
     if last is not None and len(taken) > 1 and explains[-1] < NEGLIGIBLE:  # the others stand without it
         shorter = topped_pair(taken[-1].base, seed)
         fewer = [r for r in rounds if r is not taken[-1]]
-        others = judged(before, fewer, finer, seed, shorter, yardstick(shorter.fit, seed))
+        others = judged(before, fewer, seed, shorter, yardstick(shorter.fit, seed))
         return replace(others, negligible=(*others.negligible, (last, max(explains[-1], 0.0))))
     left = rod.left(start, rod.of(final))
     random = np.random.default_rng(seed)
     places = tuple(classes(r, random) for r in taken)
-    common = {"rounds": tuple(rounds), "finer": finer, "rod": rod, "excess": excess / rod.level, "unexplained": left}
+    common = {"rounds": tuple(rounds), "rod": rod, "excess": excess / rod.level, "unexplained": left}
     small = not taken or sum(explains) < NEGLIGIBLE or start - rest[-1] < NEGLIGIBLE * rod.level
     if small:
         out = tuple((r.taken, e) for r, e in zip(taken, explains, strict=True) if r.taken is not None)

@@ -37,7 +37,7 @@ def touches(problem: Problem) -> bool:
 def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactComposer, Patch]:
     """What is to be written of a study, and the corrected simulator."""
     progress("fitting the believed model", 0, 1)
-    first, finer = fit_believed(problem)
+    first = fit_believed(problem)
     progress("fitting the believed model", 1, 1)
     # Of a lone recording nothing is held out, and nothing can be proven.
     lone = len(problem.simulator.study.recordings) == 1 and not problem.simulator.study.holdout
@@ -60,7 +60,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         base, rod = _measured(base, seed)
         if alone:  # beyond its bumps psi may be led astray: where it was found before is as likely
             before = base = replace(base, fit=widened(base.fit, first.fit.z))
-    said = judged(before, rounds, finer, seed, base, rod)
+    said = judged(before, rounds, seed, base, rod)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
     composer = ContactComposer(said, when, seed)
     progress("scoring held-out recordings", 1, 1)
@@ -81,8 +81,8 @@ def _settled(before: Pair, after: Pair, rod: Yardstick, progress: Progress) -> b
     return left < NEGLIGIBLE
 
 
-def fit_believed(problem: Problem, *, hold_out: bool = True) -> tuple[Pair, int]:
-    """The believed model on fitted and held-out recordings, and by how many times as short steps.
+def fit_believed(problem: Problem, *, hold_out: bool = True) -> Pair:
+    """The believed model on fitted and held-out recordings.
 
     Without `holdout` some recordings are held out, if that is wanted; a lone one stands for both. Raises
     SimulationDiverged.
