@@ -84,14 +84,14 @@ class Followed:
 
     def errors(self, z: Float[np.ndarray, "variants size"]) -> Float[np.ndarray, "variants blocks samples columns"]:
         """Innovations in sds of what noise makes of them; NaN where nothing was recorded."""
-        return self._of(self._request(z))
+        return self._of(self._crowded(z))
 
     def errors_with(
         self, z: Float[np.ndarray, " size"], placed: PlacedEffect, values: Sequence[Mapping[str, Any]]
     ) -> Float[np.ndarray, "variants blocks samples columns"]:
         """The same with an effect added, for each of these parameter values."""
-        count = self.problem.segments.count
-        whole = self._request(np.tile(z, (len(values), 1)))
+        count = self.problem.segments.count * self.members
+        whole = self._crowded(np.tile(z, (len(values), 1)))
         wide = {n: np.repeat(np.array([np.asarray(v[n], float) for v in values]), count, axis=0) for n in values[0]}
         added = EffectRows(placed, slice(0, len(whole.which)), wide)
         return self._of(replace(whole, effects=(*whole.effects, added)))
@@ -116,20 +116,34 @@ class Followed:
     def _request(self, z: np.ndarray) -> Request:
         return replace(self.problem.request(z, repeat_start(self.start, len(z))), observer=self.observer)
 
+    def _crowded(self, z: np.ndarray) -> Request:
+        """The same of all members, those of a recording one after the other."""
+        if self.members == 1:
+            return self._request(z)
+        many = on_rows(self.problem, self._rows)
+        return replace(many.request(z, repeat_start(self.start[self._rows], len(z))), observer=self._crowd)
+
     def _of(self, request: Request) -> np.ndarray:
-        # Of each the residuals, for q and -q are one turn; where one diverges nothing is foretold.
-        each = (self.problem.simulator.rollout(replace(request, observer=o)) for o in self._observers)
-        return self.in_blocks(np.mean([self.problem.residuals(e).reshape(e.shape) for e in each], axis=0))
+        # Of each member the residuals, for q and -q are one turn; where one diverges nothing is foretold.
+        predicted, segments = self.problem.simulator.rollout(request), self.problem.segments
+        shape = predicted.shape[1:]
+        each = predicted.reshape(-1, segments.count, self.members, *shape)
+        left = [self.problem.residuals(each[:, :, k].reshape(-1, *shape)) for k in range(self.members)]
+        return self.in_blocks(np.mean(left, axis=0).reshape(-1, *shape))
+
+    @property
+    def _rows(self) -> Int[np.ndarray, " rows"]:
+        """The recording of each member."""
+        return np.repeat(np.arange(self.problem.segments.count), self.members)
 
     @cached_property
-    def _observers(self) -> tuple[Observer, ...]:
-        """One for each member: noise that is drawn anew, once with either sign, parts them where contact is chaotic."""
-        if self.members == 1:
-            return (self.observer,)
-        random, values = np.random.default_rng(SEED), self.observer.values
-        shape = (self.members // 2, *values.shape)
-        noise = SPREAD * self.problem.noise * random.standard_normal(shape)
-        return tuple(replace(self.observer, values=values + s * e) for e in noise for s in (1.0, -1.0))
+    def _crowd(self) -> Observer:
+        """Of all members: noise that is drawn anew, once with either sign, parts them where contact is chaotic."""
+        random, led, rows = np.random.default_rng(SEED), self.observer, self._rows
+        noise = SPREAD * self.problem.noise * random.standard_normal((self.members // 2, *led.values.shape))
+        both = np.swapaxes(np.stack([noise, -noise], 1).reshape(self.members, *led.values.shape), 0, 1)
+        values = led.values[rows] + both.reshape(-1, *led.values.shape[1:])
+        return replace(_led_by(led, rows), values=values)
 
     def in_blocks(
         self, errors: Float[np.ndarray, "rows times columns"]
@@ -183,7 +197,7 @@ class Followed:
             other.__dict__.update(
                 (k, v)
                 for k, v in self.__dict__.items()
-                if k in ("_made", "_observers", "_sd", "start", "volumes", "log_spread", "_real")
+                if k in ("_made", "_crowd", "_sd", "start", "volumes", "log_spread", "_real")
             )
         return other
 
@@ -202,11 +216,10 @@ class Followed:
     def only(self, rows: Int[np.ndarray, " rows"]) -> "Followed":
         """Some of the recordings; unknowns of the others stay."""
         some = replace(self, problem=on_rows(self.problem, rows))
-        names = "gains", "values", "seen"
-        observer, *members = (
-            replace(o, **{n: getattr(o, n)[rows] for n in names}) for o in (self.observer, *self._observers)
-        )
-        some.__dict__.update(_made=(observer, self._made[1][rows]), _observers=tuple(members))
+        some.__dict__["_made"] = _led_by(self.observer, rows), self._made[1][rows]
+        if self.members > 1:
+            places = rows[:, None] * self.members + np.arange(self.members)
+            some.__dict__["_crowd"] = _led_by(self._crowd, places.ravel())
         return some
 
     def averaged(self, members: int) -> "Followed":
@@ -221,3 +234,8 @@ class Followed:
     def on(self, recordings: Sequence[Recording]) -> "Followed":
         """The same hypothesis on other recordings."""
         return replace(self, problem=self.problem.on(cut(recordings, None, self.problem.segments.columns)))
+
+
+def _led_by(observer: Observer, rows: Int[np.ndarray, " rows"]) -> Observer:
+    """Some of the recordings' rows."""
+    return replace(observer, **{n: getattr(observer, n)[rows] for n in ("gains", "values", "seen")})
