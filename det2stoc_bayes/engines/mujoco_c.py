@@ -1,8 +1,11 @@
 """The C engine: many simulations at once on all cores through `mujoco.batch`."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
 from dataclasses import astuple, replace
+from threading import Lock
 
 import mujoco
 import numpy as np
@@ -19,6 +22,7 @@ MAX_SIMULATIONS = 4096
 MAX_PERSISTENT = 512  # simulations that keep an MjData each (some 100 KB and more)
 MAX_RECORDED = 24_000_000  # numbers held at once: about 200 MB
 WORKING = 8  # numbers a step that what acts on commands takes beside
+_COUNTING = Lock()
 
 
 class MujocoC:
@@ -28,8 +32,22 @@ class MujocoC:
 
     def __init__(self, model: mujoco.MjModel, num_threads: int = 0):
         self._models: dict[tuple[float | None, str | None], mujoco.MjModel] = {(None, None): _prepared(model)}
-        self._threads = num_threads or cpu_count()
+        self.threads = num_threads or cpu_count()
+        self.users, self._halted = 1, False  # threads of Python that simulate at once
         self.counter = Counter()
+
+    @contextmanager
+    def shared_by(self, users: int) -> Iterator[None]:
+        """So many threads of Python simulate at once, and share the cores."""
+        self.users = users
+        try:
+            yield
+        finally:
+            self.users, self._halted = 1, False
+
+    def halt(self) -> None:
+        """Whoever shares it ends with the next simulation: CancelledError."""
+        self._halted = True
 
     def rollout(self, request: Request) -> Float[np.ndarray, "sims samples columns"]:
         """Predicted values at the sample times; NaN where a simulation diverged."""
@@ -60,11 +78,14 @@ class MujocoC:
         size = int(np.clip(MAX_RECORDED // (width * length), 1, most))
         parts = []
         for begin in range(0, len(steps), size):
-            rows = slice(begin, min(begin + size, len(steps)))
+            if self._halted:
+                raise CancelledError
+            rows, threads = slice(begin, min(begin + size, len(steps))), max(self.threads // self.users, 1)
             with QUIET:
-                parts.append(Chunk(model, request, rows, int(steps[rows].max()), self._threads).run(states))
-            self.counter.simulations += rows.stop - rows.start
-            self.counter.steps += (rows.stop - rows.start) * int(steps[rows].max())
+                parts.append(Chunk(model, request, rows, int(steps[rows].max()), threads).run(states))
+            with _COUNTING:
+                self.counter.simulations += rows.stop - rows.start
+                self.counter.steps += (rows.stop - rows.start) * int(steps[rows].max())
         return parts[0] if len(parts) == 1 else _joined(parts)
 
     def _model(self, timestep: float | None, integrator: str | None) -> mujoco.MjModel:

@@ -8,10 +8,11 @@ contacts; by how much the next sample differs from what it foretells is the inno
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from det2stoc_bayes.engines.layout import integrate_positions
 from det2stoc_bayes.engines.rotations import relative_rotation
@@ -58,6 +59,13 @@ class Places:
             if turn is not None and all(("qpos", turn + k) in at for k in range(4)):
                 self.turns.append((v + count, [at["qpos", turn + k] for k in range(4)]))
 
+    @cached_property
+    def _apart(self) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
+        """Coordinates whose errors are differences: the dof, position (0) or speed (1), and the column."""
+        all_of = [(dof, 0, j) for dof, j in self.straight] + [(dof, 1, j) for dof, j in self.speeds]
+        dofs, parts, places = np.array(all_of, int).reshape(-1, 3).T
+        return dofs, parts, places
+
     def seen(self, observed: Bool[np.ndarray, "... columns"]) -> Bool[np.ndarray, "... nv 2"]:
         """Which coordinates (positions, speeds) samples show."""
         out = np.zeros((*observed.shape[:-1], self.model.nv, 2), bool)
@@ -99,16 +107,14 @@ class Places:
     ) -> Float[np.ndarray, "rows nv 2"]:
         """Recorded less predicted coordinates, turns in the predicted body's frame; 0 where nothing was recorded."""
         out = np.zeros((len(predicted), self.model.nv, 2))
-        for dof, j in self.straight:
-            out[:, dof, 0] = values[:, j] - predicted[:, j]
+        dofs, parts, places = self._apart
+        out[:, dofs, parts] = values[:, places] - predicted[:, places]
         for dof, group in self.turns:
             there = values[:, group]
-            size = np.linalg.norm(there, axis=1, keepdims=True)
+            size = np.sqrt(np.einsum("rk,rk->r", there, there))[:, None]
             there = there / np.where(size > 0, size, 1.0)
             out[:, dof : dof + 3, 0] = relative_rotation(predicted[:, group], there)
-        for dof, j in self.speeds:
-            out[:, dof, 1] = values[:, j] - predicted[:, j]
-        return np.nan_to_num(out)
+        return np.where(np.isfinite(out), out, 0.0)
 
 
 def corrected(

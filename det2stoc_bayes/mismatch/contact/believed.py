@@ -5,6 +5,8 @@ by no derivative, before anything is chosen there. And a lone simulation, which 
 favours a psi that rattles less: a wrong friction hid an effect so. So the mean of some foretells, but in that search.
 """
 
+from functools import partial
+
 import numpy as np
 from jaxtyping import Float
 
@@ -14,6 +16,7 @@ from det2stoc_bayes.mismatch.contact.flow import Ground
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.pair import MEMORIES, SKETCH, Pair, climbed, paired
 from det2stoc_bayes.mismatch.contact.scales import certainty
+from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.contact.telling import telling
 
 MIDDLE = 12.0  # samples: long enough for a wrong psi to show, short enough for a missing effect not to hide a right one
@@ -34,7 +37,7 @@ def believed(followed: Followed, held: Followed) -> Pair:
     z, step = searched(middle), float(followed.problem.simulator.model.opt.timestep)
     starts = (z, np.zeros_like(z))  # beside what is missing a search may end at the prior's edge
     middle = middle.averaged(MEMBERS)
-    best = min((from_start(middle, start) for start in starts), key=lambda f: f.loss)
+    best = min(side_by_side(middle.problem, partial(from_start, middle), starts), key=lambda f: f.loss)
     for times in FINER:
         fine = from_start(middle.integrated(step / times, None), best.z)
         if certainty(best.losses - fine.losses, followed.recording) < FINER_CERTAIN:
@@ -43,7 +46,7 @@ def believed(followed: Followed, held: Followed) -> Pair:
     fits = grounded(climbed(best))
     heard = telling(min(fits, key=lambda f: f.loss))
     # What rattles has led psi astray: each is fitted to what is heard before one is chosen, and hears what it tells.
-    told = [fit_followed(f.followed.hearing(heard), f.z, like=f) for f in fits]
+    told = side_by_side(best.problem, lambda f: fit_followed(f.followed.hearing(heard), f.z, like=f), fits)
     best, whole = min(zip(told, fits, strict=True), key=lambda pair: pair[0].loss)
     both = heard & telling(at(whole.followed, best.z))
     if both.any() and (both != heard).any():
@@ -85,4 +88,5 @@ def grounded(fit: ContactFit) -> list[ContactFit]:
     """
     ground = Ground(fit.problem, fit.z)
     led = [fit.followed.grounded(ground.regarding(*way)) for way in REGARDS]
-    return [fit, *(fit_followed(followed, fit.z, iterations=SKETCH, like=fit) for followed in led)]
+    again = partial(fit_followed, z=fit.z, iterations=SKETCH, like=fit)
+    return [fit, *side_by_side(fit.problem, again, led)]

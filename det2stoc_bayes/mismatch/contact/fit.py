@@ -35,7 +35,7 @@ class ContactFit:
     scales: Scales
     sizes: Float[np.ndarray, " size"] | None = None  # of finite differences, found at a fit nearby; NaN: not found yet
     known: Float[np.ndarray, "blocks samples columns first"] | None = None  # sensitivities to the first unknowns
-    sharp: float = 1.0  # how sharp the likelihood's top is, of what sensitivities say
+    flat: Float[np.ndarray, "size size"] | None = None  # what sds become, as the likelihood's top is flatter than told
     rough: Float[np.ndarray, "size size"] | None = None  # covariance of where the top is
 
     @property
@@ -106,7 +106,8 @@ class ContactFit:
         """Of the unknowns: the sandwich of curvature and scatter over blocks, the prior being one more observation."""
         inverse = np.linalg.inv(self.gram)
         spread = inverse @ (scatter(self.slopes, self.followed.recording) + np.eye(len(self.z))) @ inverse
-        return spread / self.sharp**2 + (0.0 if self.rough is None else self.rough)
+        spread = spread if self.flat is None else self.flat @ spread @ self.flat.T
+        return spread + (0.0 if self.rough is None else self.rough)
 
     @cached_property
     def as_believed(self) -> "ContactFit":
@@ -114,6 +115,10 @@ class ContactFit:
         if self.followed.problem.timestep is None:
             return self
         return at(self.followed.integrated(None, None), self.z, self.scales)
+
+    def prepare(self) -> None:
+        """What several threads are to read is found before, and once."""
+        _ = self.gram, self.left, self.as_believed.errors, self.followed.start
 
     def only(self, rows: np.ndarray) -> "ContactFit":
         """The same on some recordings, under the scales of all."""

@@ -11,6 +11,7 @@ from det2stoc_bayes.mismatch.contact.differences import steady
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import FARTHEST
 from det2stoc_bayes.mismatch.contact.regions import likeliest_border
+from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
 
 SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
@@ -40,14 +41,17 @@ def screen(
     """
     one, few = fit.only(told_worst(fit)[:1]), some(fit)
     share = fit.problem.segments.count / few.problem.segments.count
-    out = []
-    for placed in pool:
+
+    def promised(placed: PlacedEffect) -> Promise | None:
         found = [replace(p, gain=share * p.gain) for p in _judged(few, placed, _sifted(one, few, placed))]
         found = sorted([*_bordered(fit, placed), *found], key=lambda p: -p.gain)
-        advance(1)
-        if found:
-            out.append(replace(found[0], others=tuple(found[1:])))
-    return sorted(out, key=lambda p: -p.gain)
+        return replace(found[0], others=tuple(found[1:])) if found else None
+
+    for shared in (one, few):
+        shared.prepare()
+    found = side_by_side(fit.problem, promised, pool, lambda k: advance(int(k > 0)))
+    advance(int(len(pool) > 0))
+    return sorted((p for p in found if p is not None), key=lambda p: -p.gain)
 
 
 def _bordered(fit: ContactFit, placed: PlacedEffect) -> list[Promise]:

@@ -24,6 +24,7 @@ from det2stoc_bayes.mismatch.contact.polish import BUMPY, polished
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise, screen, some
+from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.contact.top import bumps
 from det2stoc_bayes.mismatch.contact.yardstick import LEAST_BLOCKS
 from det2stoc_bayes.mismatch.effects import PlacedEffect
@@ -44,7 +45,8 @@ NUM_CHANCES = 3  # data sets that the base itself makes
 LUCK = 2.0  # nats by which fits of the same hypothesis differ where the likelihood has no bumps
 MAX_EFFECTS = 3
 ALIKE = 0.05  # mean squared difference of predictions, in noise sds, of what no sample tells apart
-LOOK_AGAIN = 30.0  # nats of a leader, whose rivals are looked for once more where it ended
+LOOK_AGAIN = 30.0  # nats of a leader, whose rivals are looked for once more where it ended,
+MOVED = 0.1  # if psi has moved by so many prior sds there: else they promise what they did
 Progress = Callable[[str, int, int], None]
 
 
@@ -74,8 +76,9 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     screened = _screened(ground, others, progress)
     least = LEAST_PROMISE * threshold(len(others))
     found = refined(first, ground, [s for s in screened if s.gain > least], first_luck, progress)
-    if found and found[0].gain(first) > max(LOOK_AGAIN, first_luck):
-        there = nearer(without_last(found[0], ground.followed.memory))
+    there = nearer(without_last(found[0], ground.followed.memory)) if found else ground
+    elsewhere = np.abs(there.z - ground.z).max(initial=0.0) > MOVED
+    if found and elsewhere and found[0].gain(first) > max(LOOK_AGAIN, first_luck):
         again = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
         again = refined(first, there, [s for s in again if s.gain > least], first_luck, progress)
         found = best_of_each([*found, *again])
@@ -141,7 +144,7 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], luck: f
     slack = luck * np.sqrt(few.problem.segments.count / base.fit.problem.segments.count)
     alone = fit_followed(few.followed, few.z, iterations=1, like=few)
     stayed = at(few.followed, base.fit.z).loss
-    tell = partial(_in_turn, progress=progress, total=2 * len(worth) + NUM_REFINED)
+    tell = partial(_each, base.fit, progress=progress, total=2 * len(worth) + NUM_REFINED)
     begun = in_reach(tell(lambda p: sketched(few, p, iterations=1), worth, 0), alone.loss, BEGUN, slack)
     sketches = tell(lambda f: fit_followed(f.followed, f.z, iterations=SKETCH - 1, like=f), begun, len(worth))
     alone = fit_followed(few.followed, alone.z, iterations=SKETCH - 1, like=alone)
@@ -161,15 +164,11 @@ def in_reach(fits: Sequence[ContactFit], bare: float, part: float, slack: float)
     return [f for f in fits if bare - f.loss >= best - max((1 - part) * abs(best), slack)]
 
 
-def _in_turn[T, S](
-    make: Callable[[T], S], items: Sequence[T], begun: int, *, progress: Progress, total: int
+def _each[T, S](
+    fit: ContactFit, make: Callable[[T], S], items: Sequence[T], begun: int, *, progress: Progress, total: int
 ) -> list[S]:
     """What is made of each, the progress of it told."""
-    out = []
-    for k, item in enumerate(items):
-        progress("refining the best", begun + k, total)
-        out.append(make(item))
-    return out
+    return side_by_side(fit.problem, make, items, lambda k: progress("refining the best", begun + k, total))
 
 
 def near_remembered(base: Pair, found: Sequence[Pair], progress: Progress) -> list[Pair]:
@@ -177,16 +176,18 @@ def near_remembered(base: Pair, found: Sequence[Pair], progress: Progress) -> li
 
     A short memory forgives what is wrong: with a longer one the right effect gains most.
     """
-    done = {p.placed: p for p in found}
     near = _near(base, found)
-    for k, pair in enumerate(near):
-        progress("remembering longer", k, len(near))
-        now: Pair | None = pair
-        while now is not None:
-            done[pair.placed] = min((done[pair.placed], now), key=lambda p: p.height)
-            now = remembering_more(now)
+    longer = side_by_side(base.fit.problem, longest, near, lambda k: progress("remembering longer", k, len(near)))
     progress("remembering longer", 1, 1)
-    return best_of_each(list(done.values()))
+    return best_of_each([*found, *longer])
+
+
+def longest(pair: Pair) -> Pair:
+    """The same hypothesis with the memory that serves it best."""
+    best, now = pair, remembering_more(pair)
+    while now is not None:
+        best, now = min((best, now), key=lambda p: p.height), remembering_more(now)
+    return best
 
 
 def _near(base: Pair, found: Sequence[Pair]) -> list[Pair]:
@@ -198,10 +199,8 @@ def smoothed(base: Pair, found: Sequence[Pair], luck: float, progress: Progress,
     """Those near the best beyond their nearest bumps, best first, and how high these are about it or the base, nats."""
     luck = max(luck, bumps(found[0].fit, np.random.default_rng([seed, 5])))
     near = _near(base, found)
-    done = []
-    for k, pair in enumerate(near):
-        progress("polishing", k, len(near))
-        done.append(beyond_bumps(pair, luck))
+    beyond = partial(beyond_bumps, luck=luck)
+    done = side_by_side(base.fit.problem, beyond, near, lambda k: progress("polishing", k, len(near)))
     progress("polishing", 1, 1)
     alone = as_the_best(best_of_each(done), luck)
     return best_of_each([*alone, *(p for p in found if p not in near)]), luck
@@ -267,7 +266,8 @@ def gain_by_chance(
         followed = replicated(base.fit, np.random.default_rng([seed, 7, k]))
         fit = fit_followed(followed, base.fit.z, iterations=3, like=base.fit)
         worth = screen(fit, rivals)
-        best = max([best, *(float(fit.losses.sum() - sketched(fit, p).losses.sum()) for p in worth)])
+        fits = side_by_side(fit.problem, partial(sketched, fit), worth)
+        best = max([best, *(float(fit.losses.sum() - f.losses.sum()) for f in fits)])
     progress("measuring chance", NUM_CHANCES, NUM_CHANCES)
     return best
 

@@ -1,8 +1,9 @@
 """The top of a likelihood that contact makes rough: a quadratic through many points about a fit, not its nearest bump.
 
 Where samples make or break a contact the likelihood has bumps of a few nats, and a fit ends on one of them: as far from
-the top as that many nats are. Regressing the likelihood at points drawn about the fit averages over the bumps, says
-where the top is and how well that is known, and whether it is as sharp as sensitivities say.
+the top as that many nats are. Sensitivities found on bumps are too large, most of all along valleys. Regressing the
+likelihood at points drawn about the fit averages over the bumps, says where the top is and how well that is known, and
+how sharp it is each way. The points lie as far off as a top must fall to be seen among bumps.
 """
 
 from dataclasses import dataclass, replace
@@ -13,27 +14,57 @@ from jaxtyping import Float
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, losses_at, sds
 from det2stoc_bayes.mismatch.contact.regions import border_unknowns
 
-FAR = 2.0  # sds about the fit
+FAR = 2.0  # sds about the fit, at least
 EACH, LEAST = 8, 40  # points for each unknown, and in all
 ROUNDS = 2
 FARTHEST = 3.0  # sds that a round may lead
 LUCKY = 3.0  # times the bumps: what is told so much worse is not the top
-SHARPNESS = 0.2, 1.5  # of the quadratic, of what sensitivities say
+BLUNTEST, SHARPEST = 0.05, 1.0  # each way, of what the round before says, and of what sensitivities do
+RIGHT = 0.7  # sharpness where sensitivities are right: reweighting takes errors for Gaussian
 
 
 def topped(fit: ContactFit, random: np.random.Generator) -> ContactFit:
-    """The hypothesis at the top, its covariance widened by what the bumps leave unknown of it."""
+    """The hypothesis at the top, its covariance widened by what sensitivities and bumps leave unknown of it."""
+    ways = _ways(fit)
+    wider = np.ones(ways.shape[1])
+    if not len(wider):
+        return fit
+    far = max(FAR, float(np.sqrt(2 * bumps(fit, random))))
     for _ in range(ROUNDS):
-        q = _quadratic(fit, random)
-        if q is None:
-            break
+        q = _quadratic(fit, ways, far, random, SHARPEST * wider)
         step = -q.slope / q.sharp
-        step *= min(1.0, FARTHEST / max(float(np.linalg.norm(step)), 1e-12))
-        apart = q.bumps**2 * np.linalg.inv(q.design.T @ q.design)[1:, 1:] / q.sharp**2
-        there = at(fit.followed, np.maximum(fit.z + q.root @ step, fit.followed.problem.floor))
+        step *= min(1.0, FARTHEST / max(float(np.linalg.norm(np.sqrt(q.sharp) * step)), 1e-12))
+        apart = q.bumps**2 * np.linalg.inv(q.design.T @ q.design)[1:, 1:] / np.outer(q.sharp, q.sharp)
+        there = at(fit.followed, np.maximum(fit.z + ways @ step, fit.followed.problem.floor))
         there = there if there.loss < fit.loss + LUCKY * q.bumps else fit
-        fit = replace(there, sizes=fit.differences[1], sharp=q.sharp, rough=q.root @ apart @ q.root.T)
-    return fit
+        fit = replace(there, sizes=fit.differences[1], rough=ways @ apart @ ways.T)
+        wider, ways = wider / q.sharp, ways / np.sqrt(q.sharp)
+    return replace(fit, flat=_stretched(ways, wider))
+
+
+def _ways(fit: ContactFit) -> Float[np.ndarray, "size free"]:
+    """By which draws of unit variance are scattered as unknowns are; where a region ends stays: it has no curvature."""
+    free = np.setdiff1d(np.arange(len(fit.z)), border_unknowns(fit))
+    ways = np.zeros((len(fit.z), len(free)))
+    if len(free):
+        ways[free] = sds(fit.gram[np.ix_(free, free)])
+    return ways
+
+
+def _stretched(
+    ways: Float[np.ndarray, "size free"], wider: Float[np.ndarray, " free"]
+) -> Float[np.ndarray, "size size"]:
+    """By which the sds of sensitivities become those of a top that is `wider` times as flat each way.
+
+    What flattens a curvature that sensitivities have exaggerated has exaggerated their scatter as well.
+    """
+    free = np.flatnonzero(ways.any(1))
+    root = ways[free]
+    out = np.eye(len(ways))
+    out[np.ix_(free, free)] = (
+        root @ np.diag(wider * np.sqrt(np.minimum(1.0, 1 / (RIGHT * wider)))) @ np.linalg.inv(root)
+    )
+    return out
 
 
 def widened(fit: ContactFit, z: Float[np.ndarray, " size"]) -> ContactFit:
@@ -44,38 +75,39 @@ def widened(fit: ContactFit, z: Float[np.ndarray, " size"]) -> ContactFit:
 
 def bumps(fit: ContactFit, random: np.random.Generator) -> float:
     """How high the likelihood's bumps about a fit are, nats: by so much fits of one hypothesis may differ."""
-    q = _quadratic(fit, random)
-    return 0.0 if q is None else q.bumps
+    ways = _ways(fit)
+    return _quadratic(fit, ways, FAR, random, np.full(ways.shape[1], SHARPEST)).bumps if ways.shape[1] else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Quadratic:
-    """A quadratic through the likelihood at points about a fit, in coordinates that `root` makes unknowns of."""
+    """A quadratic through the likelihood at points about a fit, in coordinates that its ways make unknowns of."""
 
-    root: Float[np.ndarray, "size free"]
-    design: Float[np.ndarray, "points free+1"]
     slope: Float[np.ndarray, " free"]
-    sharp: float
+    sharp: Float[np.ndarray, " free"]
+    design: Float[np.ndarray, "points free+1"]
     bumps: float  # nats
 
 
-def _quadratic(fit: ContactFit, random: np.random.Generator) -> _Quadratic | None:
-    """None where nothing is free; where a region ends stays as it is, for it has no curvature."""
-    free = np.setdiff1d(np.arange(len(fit.z)), border_unknowns(fit))
-    if not len(free):
-        return None
-    root = np.zeros((len(fit.z), len(free)))
-    root[free] = sds(fit.gram[np.ix_(free, free)])
-    half = FAR * random.standard_normal((max(EACH * len(free), LEAST) // 2, len(free)))
-    z = np.maximum(fit.z + np.concatenate([half, -half]) @ root.T, fit.followed.problem.floor)
-    u = np.linalg.lstsq(root, (z - fit.z).T, rcond=None)[0].T
+def _quadratic(
+    fit: ContactFit,
+    ways: Float[np.ndarray, "size free"],
+    far: float,
+    random: np.random.Generator,
+    sharpest: Float[np.ndarray, " free"],
+) -> _Quadratic:
+    """Through points so `far` from a fit."""
+    count = ways.shape[1]
+    half = far * random.standard_normal((max(EACH * count, LEAST) // 2, count))
+    z = np.maximum(fit.z + np.concatenate([half, -half]) @ ways.T, fit.followed.problem.floor)
+    u = np.linalg.lstsq(ways, (z - fit.z).T, rcond=None)[0].T
     heights = losses_at(fit, z)
-    design = np.column_stack([np.ones(len(u)), u, 0.5 * (u**2).sum(1)])
-    sharp = float(np.clip(_robust(design, heights)[-1], *SHARPNESS))
-    rest, design = heights - sharp * design[:, -1], design[:, :-1]
+    design = np.column_stack([np.ones(len(u)), u, 0.5 * u**2])
+    sharp = np.clip(_robust(design, heights)[1 + count :], BLUNTEST, sharpest)
+    rest, design = heights - design[:, 1 + count :] @ sharp, design[:, : 1 + count]
     line = _robust(design, rest)
     tau = 1.4826 * float(np.median(np.abs(rest - design @ line)))
-    return _Quadratic(root, design, line[1:], sharp, tau)
+    return _Quadratic(line[1:], sharp, design, tau)
 
 
 def _robust(design: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
 from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import Scales
+from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 
 NUM_REPLICAS = 2
 FARTHEST = 4.0  # scales beyond which an error counts no more: one block that went the other way says little
@@ -49,8 +50,8 @@ def yardstick(fit: ContactFit, seed: int) -> Yardstick:
     """That of a hypothesis at its most likely unknowns."""
     counter = fit.problem.simulator.counter
     begun = counter.simulations
-    made = (replicated(fit, np.random.default_rng([seed, k])) for k in range(NUM_REPLICAS))
-    replicas = tuple(fit_followed(followed, fit.z, iterations=3, like=fit) for followed in made)
+    made = [replicated(fit, np.random.default_rng([seed, k])) for k in range(NUM_REPLICAS)]
+    replicas = tuple(side_by_side(fit.problem, lambda f: fit_followed(f, fit.z, iterations=3, like=fit), made))
     pooled = np.sqrt(np.mean([r.scales.values**2 for r in replicas], axis=0))
     reference = Scales(np.maximum(pooled, 1e-300))
     level = float(np.mean([squares(r.errors, reference).mean() for r in replicas]))
