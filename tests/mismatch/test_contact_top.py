@@ -133,5 +133,5 @@ def test_a_finer_integration_leads_on_and_no_interval_is_narrower_than_that():
     shift = found.z - coarse.z
     assert (
         np.abs(found.z - fine.z) < 0.35 * np.abs(ERROR)
-    ).all()  # measured: 0.27 and 0.28, as reweighting's steps are
+    ).all()  # measured: 0.27, 0.28
     np.testing.assert_allclose(found.rough, np.outer(shift, shift))
