@@ -4,8 +4,9 @@ import copy
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import astuple, replace
-from threading import Lock
+from threading import Event, Lock
 
 import mujoco
 import numpy as np
@@ -20,8 +21,9 @@ from det2stoc_bayes.engines.quiet import QUIET
 
 MAX_SIMULATIONS = 4096
 MAX_PERSISTENT = 512  # simulations that keep an MjData each (some 100 KB and more)
-MAX_RECORDED = 24_000_000  # numbers held at once: about 200 MB
+MAX_RECORDED = 24_000_000  # numbers held at once by each thread of Python: about 200 MB
 WORKING = 8  # numbers a step that what acts on commands takes beside
+HALT: ContextVar[Event | None] = ContextVar("halt", default=None)  # once set, no simulation begins: CancelledError
 _COUNTING = Lock()
 
 
@@ -33,7 +35,7 @@ class MujocoC:
     def __init__(self, model: mujoco.MjModel, num_threads: int = 0):
         self._models: dict[tuple[float | None, str | None], mujoco.MjModel] = {(None, None): _prepared(model)}
         self.threads = num_threads or cpu_count()
-        self.users, self._halted = 1, False  # threads of Python that simulate at once
+        self.users = 1  # threads of Python that simulate at once
         self.counter = Counter()
 
     @contextmanager
@@ -43,11 +45,7 @@ class MujocoC:
         try:
             yield
         finally:
-            self.users, self._halted = 1, False
-
-    def halt(self) -> None:
-        """Whoever shares it ends with the next simulation: CancelledError."""
-        self._halted = True
+            self.users = 1
 
     def rollout(self, request: Request) -> Float[np.ndarray, "sims samples columns"]:
         """Predicted values at the sample times; NaN where a simulation diverged."""
@@ -78,7 +76,7 @@ class MujocoC:
         size = int(np.clip(MAX_RECORDED // (width * length), 1, most))
         parts = []
         for begin in range(0, len(steps), size):
-            if self._halted:
+            if (halt := HALT.get()) is not None and halt.is_set():
                 raise CancelledError
             rows, threads = slice(begin, min(begin + size, len(steps))), max(self.threads // self.users, 1)
             with QUIET:
@@ -132,6 +130,7 @@ def _prepared(model: mujoco.MjModel) -> mujoco.MjModel:
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if not may_touch(model):  # MuJoCo would look for contacts at every step: a tenth of its time
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    if model.ntree == 1:  # one tree is one island: finding it takes a sixth of a step in contact
+    sleeps = bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)
+    if model.ntree == 1 and not sleeps:  # one tree is one island: finding it takes a sixth of a step in contact
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     return model

@@ -58,7 +58,8 @@ def test_threads_run_at_once_and_share_the_cores(problem):
     assert users == [2, 2] and engine.users == 1
 
 
-def test_where_one_fails_the_others_end_with_their_next_simulation(problem):
+@pytest.mark.parametrize("first", [0, 1])
+def test_where_one_fails_the_others_end_with_their_next_simulation(problem, first):
     followed, ends, begun = Followed(problem), [], threading.Event()
 
     def goes_on(_):
@@ -76,7 +77,7 @@ def test_where_one_fails_the_others_end_with_their_next_simulation(problem):
         raise ValueError("no")
 
     with pytest.raises(ValueError, match="no"):
-        side_by_side(problem, lambda make: make(0), [fails, goes_on])
+        side_by_side(problem, lambda make: make(0), [fails, goes_on] if first == 0 else [goes_on, fails])
     assert ends == ["cancelled"]
     assert np.isfinite(at(followed, np.zeros(1)).loss)  # and the engine goes on
 

@@ -9,19 +9,27 @@ from det2stoc_bayes.mismatch.contact.regions import border_unknowns
 from det2stoc_bayes.mismatch.contact.top import widened
 
 FARTHEST = 3.0  # sds that it may lead
+WORSE = 10.0  # nats: by so much the other top may be away
 
 
-def converged(fit: ContactFit) -> ContactFit:
-    """The hypothesis where integration of fourth order leads it in one step, and no surer than that step is long."""
+def no_surer_than_steps(fit: ContactFit) -> ContactFit:
+    """The hypothesis, its covariance widened by how far integration of fourth order would lead it in one step.
+
+    As it is where that tells recordings far worse, as where joints are so stiff that it diverges.
+    """
     followed = fit.followed
-    other = at(followed.integrated(followed.problem.timestep, "rk4"), fit.z, fit.scales)
+    other = at(followed.integrated(followed.problem.timestep, "rk4"), fit.z)
+    if not other.loss < fit.loss + WORSE:
+        return fit
+    other = replace(other, scales=fit.scales)
     other.__dict__["differences"] = fit.differences
-    shift = _newton(other) - _newton(fit)
-    shift[border_unknowns(fit)] = 0.0
+    free = np.setdiff1d(np.arange(len(fit.z)), border_unknowns(fit))
+    shift = np.zeros(len(fit.z))
+    shift[free] = _newton(other, free) - _newton(fit, free)
+    shift = shift if fit.flat is None else fit.flat @ shift
     shift *= min(1.0, FARTHEST / max(float(np.sqrt(shift @ np.linalg.solve(fit.covariance, shift))), 1e-12))
-    there = at(followed, np.maximum(fit.z + shift, followed.problem.floor))
-    return widened(replace(there, sizes=fit.sizes, flat=fit.flat, rough=fit.rough), fit.z)
+    return widened(fit, fit.z + shift)
 
 
-def _newton(fit: ContactFit) -> np.ndarray:
-    return np.linalg.solve(fit.gram, fit.slopes.sum(0) - fit.z)
+def _newton(fit: ContactFit, free: np.ndarray) -> np.ndarray:
+    return np.linalg.solve(fit.gram[np.ix_(free, free)], (fit.slopes.sum(0) - fit.z)[free])

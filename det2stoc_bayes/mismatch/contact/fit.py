@@ -225,5 +225,6 @@ def _step(fit: ContactFit, held: Sequence[int]) -> np.ndarray:
 
 def within(fit: ContactFit, z: np.ndarray) -> np.ndarray:
     """Within the prior's digits, and where an effect's parameters may be."""
-    psi = np.arange(len(z)) < fit.problem.num_psi
-    return np.maximum(np.where(psi, np.clip(z, -FARTHEST, FARTHEST), z), fit.problem.floor)
+    problem = fit.followed.problem
+    psi = np.arange(problem.size) < problem.num_psi
+    return np.maximum(np.where(psi, np.clip(z, -FARTHEST, FARTHEST), z), problem.floor)

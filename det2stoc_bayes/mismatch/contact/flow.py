@@ -6,6 +6,7 @@ their spread is the uncertainty that an ensemble Kalman filter would have there 
 """
 
 from dataclasses import dataclass, field, replace
+from threading import Lock
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +16,7 @@ from det2stoc_bayes.mismatch.contact.observers import make_observer, on_rows, re
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import Segments
 
-MEMBERS = 16
+ENSEMBLE = 16  # members
 SEED = 5
 NUM_ROUNDS = 2  # in which gains and what contact does to uncertainty settle: what is made up for sooner jolts less
 Made = tuple[Observer, Float[np.ndarray, "recordings samples columns"]]
@@ -31,6 +32,7 @@ class Ground:
     share: float = 1.0  # of the jolts
     made: dict[tuple[int, float], tuple[Segments, Made]] = field(default_factory=dict)  # by segments and memory
     first: dict[tuple[int, float], tuple[Segments, ContactFlow]] = field(default_factory=dict)  # of a first round
+    finding: Lock = field(default_factory=Lock)  # what several threads share is found by one
 
     def regarding(self, holds: bool, share: float) -> "Ground":
         """The same with other beliefs of contact; what does not depend on them is shared."""
@@ -39,18 +41,22 @@ class Ground:
     def observer(self, segments: Segments, memory: float) -> Made:
         """The observer of some recordings, as `make_observer` has it, found once for all hypotheses."""
         key = id(segments), memory
-        if key not in self.made:
-            problem = self.problem.on(segments)
-            z = self.problem.carry(self.z, problem)
-            made = make_observer(problem, memory)
-            if key not in self.first:
-                self.first[key] = segments, contact_flow(problem, made[0], z)
-            for k in range(NUM_ROUNDS):
-                flow = contact_flow(problem, made[0], z) if k else self.first[key][1]
-                kept = flow.kept if self.holds else np.ones_like(flow.kept)
-                made = make_observer(problem, memory, ContactFlow(kept, self.share * flow.grown))
-            self.made[key] = segments, made
-        return self.made[key][1]
+        with self.finding:
+            if key not in self.made:
+                self.made[key] = segments, self._found(key, segments, memory)
+            return self.made[key][1]
+
+    def _found(self, key: tuple[int, float], segments: Segments, memory: float) -> Made:
+        problem = self.problem.on(segments)
+        z = self.problem.carry(self.z, problem)
+        made = make_observer(problem, memory)
+        if key not in self.first:
+            self.first[key] = segments, contact_flow(problem, made[0], z)
+        for k in range(NUM_ROUNDS):
+            flow = contact_flow(problem, made[0], z) if k else self.first[key][1]
+            kept = flow.kept if self.holds else np.ones_like(flow.kept)
+            made = make_observer(problem, memory, ContactFlow(kept, self.share * flow.grown))
+        return made
 
 
 def contact_flow(problem: Problem, observer: Observer, z: Float[np.ndarray, " size"]) -> ContactFlow:
@@ -72,7 +78,7 @@ def _members(
 
     First as a free motion from the sample before would have them, then as simulated; NaN of what diverged.
     """
-    rows = np.tile(np.arange(problem.segments.count), MEMBERS)
+    rows = np.tile(np.arange(problem.segments.count), ENSEMBLE)
     many = on_rows(problem, rows)
     noise = problem.noise * np.random.default_rng(SEED).standard_normal(many.segments.values.shape)
     members = Observer(observer.gains[rows], observer.values[rows] + noise, observer.seen[rows])
@@ -95,7 +101,7 @@ def _members(
 
 def _variance(rows: Float[np.ndarray, "rows *rest"], count: int) -> Float[np.ndarray, "recordings *rest"]:
     """Over members, of each recording; 0 where fewer than two did not diverge."""
-    members = rows.reshape(MEMBERS, count, *rows.shape[1:])
+    members = rows.reshape(ENSEMBLE, count, *rows.shape[1:])
     there = np.isfinite(members)
     number, values = there.sum(0), np.where(there, members, 0.0)
     square = np.where(there, (values - values.sum(0) / np.maximum(number, 1)) ** 2, 0.0).sum(0)

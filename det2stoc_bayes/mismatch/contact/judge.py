@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.conflict import strained
-from det2stoc_bayes.mismatch.contact.converged import converged
+from det2stoc_bayes.mismatch.contact.converged import no_surer_than_steps
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.pair import Pair, paired, with_memory
 from det2stoc_bayes.mismatch.contact.scales import certainty
@@ -90,7 +90,7 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
 
 def topped_pair(pair: Pair, seed: int) -> Pair:
     """A hypothesis at the top of its likelihood."""
-    return paired(converged(topped(pair.fit, np.random.default_rng([seed, 11]))), pair.held.followed)
+    return paired(no_surer_than_steps(topped(pair.fit, np.random.default_rng([seed, 11]))), pair.held.followed)
 
 
 def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:

@@ -88,7 +88,8 @@ def _nearby(fit: ContactFit, placed: PlacedEffect) -> Float[np.ndarray, " size"]
         border = {"ratio": ratio, "point": point, "normal": turned}
         return np.concatenate([fit.z[: -placed.size], placed.effect.to_normal(border, placed.typical)])
 
-    return evolved(fit, unknowns, size=3, sigma=1.0, population=POPULATION, generations=GENERATIONS)
+    plain = fit.as_believed  # hundreds of simulations of each recording, of which the best is fitted by finer steps
+    return evolved(plain, unknowns, size=3, sigma=1.0, population=POPULATION, generations=GENERATIONS)
 
 
 def border_unknowns(fit: ContactFit) -> list[int]:

@@ -47,7 +47,7 @@ def screen(
         found = sorted([*_bordered(fit, placed), *found], key=lambda p: -p.gain)
         return replace(found[0], others=tuple(found[1:])) if found else None
 
-    for shared in (one, few):
+    for shared in (fit, one, few):
         shared.prepare()
     found = side_by_side(fit.problem, promised, pool, lambda k: advance(int(k > 0)))
     advance(int(len(pool) > 0))

@@ -76,9 +76,10 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     screened = _screened(ground, others, progress)
     least = LEAST_PROMISE * threshold(len(others))
     found = refined(first, ground, [s for s in screened if s.gain > least], first_luck, progress)
-    there = nearer(without_last(found[0], ground.followed.memory)) if found else ground
-    elsewhere = np.abs(there.z - ground.z).max(initial=0.0) > MOVED
-    if found and elsewhere and found[0].gain(first) > max(LOOK_AGAIN, first_luck):
+    there = ground
+    if found and found[0].gain(first) > max(LOOK_AGAIN, first_luck):
+        there = nearer(without_last(found[0], ground.followed.memory))
+    if np.abs(there.z - ground.z).max(initial=0.0) > MOVED:
         again = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
         again = refined(first, there, [s for s in again if s.gain > least], first_luck, progress)
         found = best_of_each([*found, *again])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, losses_at, sds
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, losses_at, sds, within
 from det2stoc_bayes.mismatch.contact.regions import border_unknowns
 
 FAR = 2.0  # sds about the fit, at least
@@ -19,7 +19,7 @@ EACH, LEAST = 8, 40  # points for each unknown, and in all
 ROUNDS = 2
 FARTHEST = 3.0  # sds that a round may lead
 LUCKY = 3.0  # times the bumps: what is told so much worse is not the top
-BLUNTEST, SHARPEST = 0.05, 1.0  # each way, of what the round before says, and of what sensitivities do
+BLUNTEST = 0.05  # each way, of what the round before says
 RIGHT = 0.7  # sharpness where sensitivities are right: reweighting takes errors for Gaussian
 
 
@@ -31,14 +31,15 @@ def topped(fit: ContactFit, random: np.random.Generator) -> ContactFit:
         return fit
     far = max(FAR, float(np.sqrt(2 * bumps(fit, random))))
     for _ in range(ROUNDS):
-        q = _quadratic(fit, ways, far, random, SHARPEST * wider)
+        q = _quadratic(fit, ways, far, random)
         step = -q.slope / q.sharp
         step *= min(1.0, FARTHEST / max(float(np.linalg.norm(np.sqrt(q.sharp) * step)), 1e-12))
         apart = q.bumps**2 * np.linalg.inv(q.design.T @ q.design)[1:, 1:] / np.outer(q.sharp, q.sharp)
-        there = at(fit.followed, np.maximum(fit.z + ways @ step, fit.followed.problem.floor))
+        there = at(fit.followed, within(fit, fit.z + ways @ step))
         there = there if there.loss < fit.loss + LUCKY * q.bumps else fit
         fit = replace(there, sizes=fit.differences[1], rough=ways @ apart @ ways.T)
-        wider, ways = wider / q.sharp, ways / np.sqrt(q.sharp)
+        sharp = np.minimum(q.sharp, wider)  # no top is called sharper than sensitivities have it
+        wider, ways = wider / sharp, ways / np.sqrt(sharp)
     return replace(fit, flat=_stretched(ways, wider))
 
 
@@ -76,7 +77,7 @@ def widened(fit: ContactFit, z: Float[np.ndarray, " size"]) -> ContactFit:
 def bumps(fit: ContactFit, random: np.random.Generator) -> float:
     """How high the likelihood's bumps about a fit are, nats: by so much fits of one hypothesis may differ."""
     ways = _ways(fit)
-    return _quadratic(fit, ways, FAR, random, np.full(ways.shape[1], SHARPEST)).bumps if ways.shape[1] else 0.0
+    return _quadratic(fit, ways, FAR, random).bumps if ways.shape[1] else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,20 +91,16 @@ class _Quadratic:
 
 
 def _quadratic(
-    fit: ContactFit,
-    ways: Float[np.ndarray, "size free"],
-    far: float,
-    random: np.random.Generator,
-    sharpest: Float[np.ndarray, " free"],
+    fit: ContactFit, ways: Float[np.ndarray, "size free"], far: float, random: np.random.Generator
 ) -> _Quadratic:
-    """Through points so `far` from a fit."""
+    """Through points so `far` from a fit, where the prior lets them be; no way it is blunter than the prior."""
     count = ways.shape[1]
     half = far * random.standard_normal((max(EACH * count, LEAST) // 2, count))
-    z = np.maximum(fit.z + np.concatenate([half, -half]) @ ways.T, fit.followed.problem.floor)
+    z = within(fit, fit.z + np.concatenate([half, -half]) @ ways.T)
     u = np.linalg.lstsq(ways, (z - fit.z).T, rcond=None)[0].T
     heights = losses_at(fit, z)
     design = np.column_stack([np.ones(len(u)), u, 0.5 * u**2])
-    sharp = np.clip(_robust(design, heights)[1 + count :], BLUNTEST, sharpest)
+    sharp = np.maximum(_robust(design, heights)[1 + count :], np.maximum(BLUNTEST, (ways**2).sum(0)))
     rest, design = heights - design[:, 1 + count :] @ sharp, design[:, : 1 + count]
     line = _robust(design, rest)
     tau = 1.4826 * float(np.median(np.abs(rest - design @ line)))
