@@ -91,8 +91,12 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     whole = held_out(after) if after.problem.effects else held_before
     share = 0.0
     if numerics is not None:
-        share = share_explained(held_before, held_before, held_out(numerics.fit))
-        if share < NEGLIGIBLE:
+        finer = held_out(numerics.fit)
+        share = share_explained(held_before, held_before, finer)
+        gone = held_before.chi2.sum() - finer.chi2.sum()
+        if (
+            share < NEGLIGIBLE or gone < NEGLIGIBLE * held_before.num_values.sum()
+        ):  # beside noise: every step errs a little
             numerics, after = None, corrected(_at_believed_step(after))
             whole = held_out(after)
 

@@ -10,6 +10,7 @@ from det2stoc_bayes.mismatch import judgement
 from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.heldout import held_out
 from det2stoc_bayes.mismatch.judgement import SPOILT, _spoils
+from det2stoc_bayes.mismatch.numerics import Numerics
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 
 
@@ -46,3 +47,21 @@ def test_two_effects_that_explain_nothing_together_are_not_named(tmp_path, monke
     assert [p for p, _ in judged.negligible] == [a, b]
     error[2] = 10.0
     assert judgement.judge(base, found, None).verdict == "mismatch"
+
+
+@pytest.mark.parametrize(("misfit", "verdict"), [(1.5, "mismatch"), (1.04, "no_mismatch")])
+def test_an_error_of_integration_that_is_nothing_beside_noise_is_not_named(tmp_path, monkeypatch, misfit, verdict):
+    """Whatever its evidence: it takes all of the excess off, which is half the noise's square, or a 25th."""
+    base = fit(spring_problem(tmp_path, noise=1e-3))
+    finer = fit(replace(base.problem, timestep=1e-3, integrator="RK4"))
+    scores = held_out(base)
+    count = scores.num_values * 1e5 / scores.num_values.sum()  # so many that either is beyond chance
+
+    def told(fitted):
+        error = misfit if fitted.problem.timestep is None else 1.0
+        return replace(scores, num_values=count, chi2=error * count)
+
+    monkeypatch.setattr(judgement, "held_out", told)
+    judged = judgement.judge(base, Explanation(base, base, (), 10, 1.0), Numerics(1e-3, "RK4", 100.0, finer))
+    assert judged.verdict == verdict and (judged.numerics is None) == (verdict == "no_mismatch")
+    assert judged.numerics_share == 1.0
