@@ -111,7 +111,7 @@ class Places:
         out[:, dofs, parts] = values[:, places] - predicted[:, places]
         for dof, group in self.turns:
             there = values[:, group]
-            size = np.sqrt(np.einsum("rk,rk->r", there, there))[:, None]
+            size = np.linalg.norm(there, axis=1, keepdims=True)
             there = there / np.where(size > 0, size, 1.0)
             out[:, dof : dof + 3, 0] = relative_rotation(predicted[:, group], there)
         return np.where(np.isfinite(out), out, 0.0)

@@ -224,7 +224,11 @@ def _step(fit: ContactFit, held: Sequence[int]) -> np.ndarray:
 
 
 def within(fit: ContactFit, z: np.ndarray) -> np.ndarray:
-    """Within the prior's digits, and where an effect's parameters may be."""
+    """Within the prior's digits, or the fit's place beyond them, and where an effect's parameters may be."""
     problem = fit.followed.problem
-    psi = np.arange(problem.size) < problem.num_psi
-    return np.maximum(np.where(psi, np.clip(z, -FARTHEST, FARTHEST), z), problem.floor)
+    psi, low, high = (
+        np.arange(problem.size) < problem.num_psi,
+        np.minimum(fit.z, -FARTHEST),
+        np.maximum(fit.z, FARTHEST),
+    )
+    return np.maximum(np.where(psi, np.clip(z, low, high), z), problem.floor)
