@@ -94,9 +94,8 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
         finer = held_out(numerics.fit)
         share = share_explained(held_before, held_before, finer)
         gone = held_before.chi2.sum() - finer.chi2.sum()
-        if (
-            share < NEGLIGIBLE or gone < NEGLIGIBLE * held_before.num_values.sum()
-        ):  # beside noise: every step errs a little
+        little = gone < NEGLIGIBLE * held_before.num_values.sum()  # beside noise: every step errs a little
+        if share < NEGLIGIBLE or little:
             numerics, after = None, corrected(_at_believed_step(after))
             whole = held_out(after)
 

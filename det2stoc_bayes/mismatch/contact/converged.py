@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.contact.fit import ContactFit, at
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, newton
 from det2stoc_bayes.mismatch.contact.regions import border_unknowns
 from det2stoc_bayes.mismatch.contact.top import widened
 
@@ -23,13 +23,8 @@ def no_surer_than_steps(fit: ContactFit) -> ContactFit:
         return fit
     other = replace(other, scales=fit.scales)
     other.__dict__["differences"] = fit.differences
-    free = np.setdiff1d(np.arange(len(fit.z)), border_unknowns(fit))
-    shift = np.zeros(len(fit.z))
-    shift[free] = _newton(other, free) - _newton(fit, free)
+    held = border_unknowns(fit)
+    shift = newton(other, held) - newton(fit, held)
     shift = shift if fit.flat is None else fit.flat @ shift
     shift *= min(1.0, FARTHEST / max(float(np.sqrt(shift @ np.linalg.solve(fit.covariance, shift))), 1e-12))
     return widened(fit, fit.z + shift)
-
-
-def _newton(fit: ContactFit, free: np.ndarray) -> np.ndarray:
-    return np.linalg.solve(fit.gram[np.ix_(free, free)], (fit.slopes.sum(0) - fit.z)[free])

@@ -214,21 +214,24 @@ def _fits(followed: Followed, z: Float[np.ndarray, "variants size"]) -> list[Con
     return [ContactFit(followed, one, e, scales_of(e)) for one, e in zip(z, followed.errors(z), strict=True)]
 
 
-def _step(fit: ContactFit, held: Sequence[int]) -> np.ndarray:
+def newton(fit: ContactFit, held: Sequence[int]) -> Float[np.ndarray, " size"]:
+    """The Gauss-Newton step of all unknowns but those `held`."""
     free = np.setdiff1d(np.arange(len(fit.z)), np.asarray(held, int))
     step = np.zeros(len(fit.z))
     if len(free):
         pull = fit.slopes.sum(0) - fit.z
         step[free] = np.linalg.solve(fit.gram[np.ix_(free, free)], pull[free])
+    return step
+
+
+def _step(fit: ContactFit, held: Sequence[int]) -> np.ndarray:
+    step = newton(fit, held)
     return step * min(1.0, LARGEST_STEP / max(np.abs(step).max(initial=0.0), 1e-12))
 
 
 def within(fit: ContactFit, z: np.ndarray) -> np.ndarray:
     """Within the prior's digits, or the fit's place beyond them, and where an effect's parameters may be."""
     problem = fit.followed.problem
-    psi, low, high = (
-        np.arange(problem.size) < problem.num_psi,
-        np.minimum(fit.z, -FARTHEST),
-        np.maximum(fit.z, FARTHEST),
-    )
+    psi = np.arange(problem.size) < problem.num_psi
+    low, high = np.minimum(fit.z, -FARTHEST), np.maximum(fit.z, FARTHEST)
     return np.maximum(np.where(psi, np.clip(z, low, high), z), problem.floor)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.contact.evolution import evolved
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, sds, within
-from det2stoc_bayes.mismatch.contact.regions import border_unknowns
+from det2stoc_bayes.mismatch.contact.regions import free_unknowns
 
 BUMPY = 5.0  # nats of bumps from which on it is worth the time
 POPULATION, GENERATIONS = 12, 10
@@ -16,7 +16,7 @@ WIDTH = 2.0  # posterior sds in which it begins
 
 def polished(fit: ContactFit) -> ContactFit:
     """The likeliest that evolution finds about a fit; a region's border stays where it is."""
-    free = np.setdiff1d(np.arange(len(fit.z)), border_unknowns(fit))
+    free = free_unknowns(fit)
     if not len(free):
         return fit
     root = sds(fit.gram[np.ix_(free, free)])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from det2stoc_bayes.mismatch.contact.evolution import evolved
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
@@ -100,6 +100,11 @@ def border_unknowns(fit: ContactFit) -> list[int]:
         out += range(begin + 1, begin + placed.size) if isinstance(placed.effect, FrictionPatch) else ()
         begin += placed.size
     return out
+
+
+def free_unknowns(fit: ContactFit) -> Int[np.ndarray, " free"]:
+    """All unknowns but where regions end, of which the likelihood has no curvature."""
+    return np.setdiff1d(np.arange(len(fit.z)), border_unknowns(fit))
 
 
 def likeliest_border(fit: ContactFit, placed: PlacedEffect) -> Border | None:

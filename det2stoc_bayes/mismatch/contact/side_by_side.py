@@ -23,8 +23,7 @@ def side_by_side[T, S](
     Where one fails or is interrupted the others end with their next simulation, and what it raised is raised.
     """
     engine, count = problem.simulator.engine, min(len(items), MOST)
-    count = min(count, engine.threads) if isinstance(engine, MujocoC) and engine.users == 1 else 1
-    if not isinstance(engine, MujocoC) or count < 2:
+    if not isinstance(engine, MujocoC) or engine.users > 1 or (count := min(count, engine.threads)) < 2:
         return [(told(k), make(item))[1] for k, item in enumerate(items)]
     halt, failures = Event(), list[BaseException]()
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, losses_at, sds, within
-from det2stoc_bayes.mismatch.contact.regions import border_unknowns
+from det2stoc_bayes.mismatch.contact.regions import free_unknowns
 
 FAR = 2.0  # sds about the fit, at least
 EACH, LEAST = 8, 40  # points for each unknown, and in all
@@ -45,7 +45,7 @@ def topped(fit: ContactFit, random: np.random.Generator) -> ContactFit:
 
 def _ways(fit: ContactFit) -> Float[np.ndarray, "size free"]:
     """By which draws of unit variance are scattered as unknowns are; where a region ends stays: it has no curvature."""
-    free = np.setdiff1d(np.arange(len(fit.z)), border_unknowns(fit))
+    free = free_unknowns(fit)
     ways = np.zeros((len(fit.z), len(free)))
     if len(free):
         ways[free] = sds(fit.gram[np.ix_(free, free)])
@@ -62,9 +62,8 @@ def _stretched(
     free = np.flatnonzero(ways.any(1))
     root = ways[free]
     out = np.eye(len(ways))
-    out[np.ix_(free, free)] = (
-        root @ np.diag(wider * np.sqrt(np.minimum(1.0, 1 / (RIGHT * wider)))) @ np.linalg.inv(root)
-    )
+    stretch = wider * np.sqrt(np.minimum(1.0, 1 / (RIGHT * wider)))
+    out[np.ix_(free, free)] = root @ np.diag(stretch) @ np.linalg.inv(root)
     return out
 
 
