@@ -52,8 +52,16 @@ def pytest_runtest_setup() -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compiled JAX programs are kept from one run of the tests to the next."""
+    """Compiled JAX programs are kept from one run of the tests to the next.
+
+    Each of the processes that test at once has cores of its own: threads of MuJoCo and XLA that share one wait.
+    """
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.rootpath / ".pytest_cache" / "jax"))
+    worker = getattr(config, "workerinput", None)
+    if worker and hasattr(os, "sched_setaffinity"):  # not on macOS
+        cores, count = sorted(os.sched_getaffinity(0)), worker["workercount"]
+        mine = cores[int(worker["workerid"].removeprefix("gw")) :: count]
+        os.sched_setaffinity(0, mine or cores)
 
 
 def model_xml(bodies: str, rest: str = "", integrator: str = "Euler", option: str | None = None) -> str:
