@@ -13,7 +13,9 @@ from det2stoc_bayes.optimize import Fit
 
 WRONG_SIGN = -0.69  # nats of a candidate whose coefficient has a sign that it cannot have
 MOST_PAIRED, MOST_TRIED = 40, 12  # candidates that are paired, and those of which all trials are
-NUM_SHARPENED = 12  # candidates about whose best trial others are tried
+NUM_SHARPENED = 12  # candidates about whose best trials others are tried
+NUM_STARTS = 5  # of them, from which the pattern search sets out,
+UNLIKE = 0.9  # cosine of what they change, below which two are another's neighbourhood
 REACHES = (0.6, 0.3, 0.15, 0.07)
 MOST_STEPS = 4  # at each of them
 WORTH_A_STEP = 1.0  # nats
@@ -66,16 +68,44 @@ def screen(
 
 
 def _sharpened(trials: list[Screened], beside: "Beside", by_trial: Changes) -> list[Screened]:
-    """An effect's trials and those about the best, closer and closer (a pattern search)."""
+    """An effect's trials and those to which a pattern search leads from the best that are unlike each other."""
+    placed = trials[0].placed
+    if not any(placed.effect.about(s.trial, placed.typical, REACHES[0]) for s in trials):
+        return trials
+    first = _judged(placed, placed.effect.trials(placed.typical), beside, by_trial)
+    starts = _unlike(first)[:NUM_STARTS]
+    return _kept([*_unlike([_led(s, beside, by_trial) for s in starts]), *trials])
+
+
+def _led(start: Screened, beside: "Beside", by_trial: Changes) -> Screened:
+    """Where trials about one, closer and closer, lead."""
+    best, placed = start, start.placed
     for reach in REACHES:
         for _ in range(MOST_STEPS):
-            best = trials[0]
-            about = best.placed.effect.about(best.trial, best.placed.typical, reach)
-            judged = (beside.judge(best.placed, trial, columns) for trial, columns in by_trial.of(best.placed, about))
-            trials = _kept([*trials, *(s for s in judged if s is not None)])
-            if trials[0].log_evidence < best.log_evidence + WORTH_A_STEP:
+            about = placed.effect.about(best.trial, placed.typical, reach)
+            ahead = max([best, *_judged(placed, about, beside, by_trial)], key=lambda s: s.log_evidence)
+            better, best = ahead.log_evidence - best.log_evidence, ahead
+            if better < WORTH_A_STEP:
                 break
-    return trials
+    return best
+
+
+def _judged(placed: PlacedEffect, trials: Sequence[Trial], beside: "Beside", by_trial: Changes) -> list[Screened]:
+    judged = (beside.judge(placed, trial, columns) for trial, columns in by_trial.of(placed, trials))
+    return [s for s in judged if s is not None]
+
+
+def _unlike(tried: Sequence[Screened]) -> list[Screened]:
+    """The best of all that change the prediction alike, best first; those that change nothing are passed over."""
+    out: list[Screened] = []
+    told: list[Float[np.ndarray, " values"]] = []
+    for s in sorted(tried, key=lambda s: -s.log_evidence):
+        change = np.zeros(0) if s.response is None else (s.response @ s.coefficients).ravel()
+        size = np.linalg.norm(change)
+        if size > 0 and all(change @ other < UNLIKE * size for other in told):
+            out.append(s)
+            told.append(change / size)
+    return out
 
 
 def _kept(tried: Sequence[Screened]) -> list[Screened]:

@@ -206,7 +206,7 @@ def pulled(centre, strength):
 def test_a_point_in_space_is_approached(tmp_path, monkeypatch, sharpened):
     """The first centres stand in a coarse ring: the best of them alone is far off, those about it are not."""
     if not sharpened:
-        monkeypatch.setattr(module, "REACHES", ())
+        monkeypatch.setattr(module, "NUM_SHARPENED", 0)
     starts = [([0.4], [0.0]), ([-0.8], [1.0]), ([1.2], [-0.5])]
     push = pulled(CENTRE, 0.01)
     made = recordings(model_xml(PENDULUM), starts, 5 * np.arange(60), (1e-3, 1e-2), push=push)
@@ -223,9 +223,10 @@ FLOATING = """
   <joint name="z" type="slide" axis="0 0 1"/><geom size="0.1" mass="0.5" contype="0" conaffinity="0"/></body>"""
 
 
-@pytest.mark.parametrize("amid", [True, False])
-def test_a_point_amid_a_bodys_ways_is_approached(tmp_path, monkeypatch, amid):
-    """One way of six passes by it at 0.15 m; from rings around all of them alone the search ends far off."""
+@pytest.mark.parametrize("num_starts, amid, found", [(1, True, True), (1, False, False), (5, False, True)])
+def test_a_point_amid_a_bodys_ways_is_approached(tmp_path, monkeypatch, num_starts, amid, found):
+    """One way of six passes by it at 0.15 m; from the best of rings around all of them the search ends far off."""
+    monkeypatch.setattr(module, "NUM_STARTS", num_starts)
     if not amid:
         monkeypatch.setattr(attraction, "DISTANCES", (1.5, 4.0))
     random, starts = np.random.default_rng(3), []
@@ -240,7 +241,7 @@ def test_a_point_amid_a_bodys_ways_is_approached(tmp_path, monkeypatch, amid):
     effect = replace(effect, typical=Magnitudes(problem).of(effect.element))
     best = screen(base, [effect])[0]
     left = 1 - best.gain / base.chi2
-    assert (left < 0.1) == amid  # measured: 0.03 and 0.49
+    assert (left < 0.1) == found  # measured: 0.03, 0.49 and 0.03
 
 
 def turning(rate):
