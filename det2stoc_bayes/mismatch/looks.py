@@ -24,6 +24,7 @@ class Looks:
         self._pairs: dict[Hypothesis, dict[frozenset[PlacedEffect], Fit | None]] = {}
         self._extended: dict[int, tuple[Fit, Fit]] = {}
         self._found: dict[tuple[Hypothesis, Hashable], Any] = {}
+        self._begun, self._first = 0, 0  # steps simulated before the first look, and by it
 
     def at(self, base: Fit, pool: Sequence[PlacedEffect], present: Fit | None = None) -> Slot:
         """Candidates of the pool beside a fit; of a pool that has grown since, beside the fit anew.
@@ -33,10 +34,18 @@ class Looks:
         seen, known = self._slots.get(_key(base), (frozenset(), None))
         if known is not None and seen.issuperset(pool):
             return look_again(known, pool, self.progress, present)
+        counter = base.problem.simulator.counter
+        begun = counter.steps
         slot = look(base, pool, self.progress, present)
+        if not self._first:
+            self._begun, self._first = begun, counter.steps - begun
         if present is None:
             self._slots[_key(base)] = frozenset(pool), slot
         return slot
+
+    def spent(self, fit: Fit) -> float:
+        """Steps simulated since the first look began, in those that it took; 0 before it."""
+        return (fit.problem.simulator.counter.steps - self._begun) / self._first if self._first else 0.0
 
     def extended(self, fit: Fit) -> Fit:
         """The same hypothesis at a longer horizon, where one has become possible."""

@@ -26,6 +26,7 @@ MOST_BESIDE = 1  # listed effects beside a curve: with two more whatever is reco
 MOST_RESHAPED = 3  # times that a curve's prior is chosen anew
 ENOUGH = 2.0  # nats: a choice that gains less is the last one
 LEFT = 0.2  # of the misfit: what leaves more is not the shape that is missing
+MOST_SPENT = 8.0  # first looks, beyond which what lists have not explained is not looked for beside a curve
 PROMISING = 0.5  # of the evidence that listed effects earn: what a curve must promise to be fitted
 
 
@@ -158,9 +159,12 @@ def _settled(fit: Fit, screened: Screened) -> tuple[Fit, Screened]:
 
 
 def _completed(fit: Fit, found: Explanation, needed: float, looks: Looks) -> Fit:
-    """The curve at the longest horizon; where more than chance is left, beside listed effects that were near before."""
+    """The curve at the longest horizon; where more than chance is left, beside listed effects that were near before.
+
+    Beside a curve of dozens of unknowns a look takes long: after a long search it is not taken any more.
+    """
     fit = extend(fit)
-    if enough(fit, found.before) or len(found.after.problem.effects) == 0:
+    if enough(fit, found.before) or len(found.after.problem.effects) == 0 or looks.spent(fit) > MOST_SPENT:
         return fit
     near = list(dict.fromkeys(r.placed for slot in found.slots for r in slot.ranked))
     return grow(looks.at(fit, near), near, needed, looks, len(fit.problem.effects) + MOST_BESIDE)[0]

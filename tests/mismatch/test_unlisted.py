@@ -141,6 +141,26 @@ def test_beside_a_curve_that_is_worse_than_what_is_bad_nothing_is_looked_for(tmp
         assert module.beyond_list(base, found, (), Looks(lambda *_: None)) is found and len(completed) == times
 
 
+def test_after_a_long_search_nothing_is_looked_for_beside_a_curve(tmp_path, monkeypatch):
+    """How long it was is counted in steps of the first look."""
+    base = fit(spring_problem(tmp_path, push=pushed(LAWS["position"]), noise=1e-4))
+    pool, looks = pool_of(base.problem), Looks(lambda *_: None)
+    listed, curve = (fit(base.problem.with_effects([p])) for p in pool[:2])
+    assert looks.spent(base) == 0.0
+    looks.at(base, pool)
+    assert looks.spent(base) == 1.0
+    looks.at(listed, pool)
+    spent = looks.spent(base)
+    assert spent > 1.1  # measured: 2.2
+    found, grown = Explanation(base, listed, (), 1, 1.0), []
+    monkeypatch.setattr(module, "grow", lambda slot, *_: grown.append(slot) or (listed, {}))
+    for most, times in ((0.9 * spent, 0), (1.1 * spent, 1)):
+        monkeypatch.setattr(module, "MOST_SPENT", most)
+        grown.clear()
+        assert module._completed(curve, found, 9.0, looks) is (listed if times else curve)
+        assert len(grown) == times
+
+
 def test_a_curve_goes_through_its_knots_and_bends_as_told():
     knots = np.linspace(-1.0, 2.0, 65)
     at, shares = interpolated(knots, -1.0, 2.0, 65, np)
