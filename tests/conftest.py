@@ -52,15 +52,21 @@ def pytest_runtest_setup() -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compiled JAX programs are kept from one run of the tests to the next.
-
-    Each of the processes that test at once has cores of its own: threads of MuJoCo and XLA that share one wait.
-    """
+    """Compiled JAX programs are kept from one run of the tests to the next."""
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.rootpath / ".pytest_cache" / "jax"))
-    worker = getattr(config, "workerinput", None)
-    if worker and hasattr(os, "sched_setaffinity"):  # not on macOS
-        cores, count = sorted(os.sched_getaffinity(0)), worker["workercount"]
-        mine = cores[int(worker["workerid"].removeprefix("gw")) :: count]
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Each of the processes that test at once has cores of its own: threads of MuJoCo and XLA that share one wait.
+
+    Modules stay whole (loadscope): of fewer modules than processes each has all cores.
+    """
+    worker = getattr(session.config, "workerinput", None)
+    if worker is None or not hasattr(os, "sched_setaffinity"):  # alone, or on macOS
+        return
+    cores, count = sorted(os.sched_getaffinity(0)), worker["workercount"]
+    if len({item.path for item in session.items}) >= count:
+        mine = cores[int(worker["workerid"].removeprefix("gw")) % count :: count]
         os.sched_setaffinity(0, mine or cores)
 
 

@@ -14,8 +14,8 @@ from det2stoc_bayes.optimize import Fit
 WRONG_SIGN = -0.69  # nats of a candidate whose coefficient has a sign that it cannot have
 MOST_PAIRED, MOST_TRIED = 40, 12  # candidates that are paired, and those of which all trials are
 NUM_SHARPENED = 12  # candidates about whose best trials others are tried
-NUM_STARTS = 5  # of them, from which the pattern search sets out,
-UNLIKE = 0.9  # cosine of what they change, below which two are another's neighbourhood
+NUM_STARTS = 5  # trials of each, from which the pattern search sets out
+ALIKE = 0.9  # cosine of what two trials change, from which on they are one neighbourhood
 REACHES = (0.6, 0.3, 0.15, 0.07)
 MOST_STEPS = 4  # at each of them
 WORTH_A_STEP = 1.0  # nats
@@ -70,11 +70,15 @@ def screen(
 def _sharpened(trials: list[Screened], beside: "Beside", by_trial: Changes) -> list[Screened]:
     """An effect's trials and those to which a pattern search leads from the best that are unlike each other."""
     placed = trials[0].placed
-    if not any(placed.effect.about(s.trial, placed.typical, REACHES[0]) for s in trials):
+
+    def leads(trial: Trial) -> bool:
+        return len(placed.effect.about(trial, placed.typical, REACHES[0])) > 0
+
+    if not any(leads(s.trial) for s in trials):
         return trials
-    first = _judged(placed, placed.effect.trials(placed.typical), beside, by_trial)
-    starts = _unlike(first)[:NUM_STARTS]
-    return _kept([*_unlike([_led(s, beside, by_trial) for s in starts]), *trials])
+    leading = [trial for trial in placed.effect.trials(placed.typical) if leads(trial)]
+    starts = _unlike(_judged(placed, leading, beside, by_trial), NUM_STARTS)
+    return _kept([*_unlike([_led(s, beside, by_trial) for s in starts], NUM_STARTS), *trials])
 
 
 def _led(start: Screened, beside: "Beside", by_trial: Changes) -> Screened:
@@ -91,20 +95,23 @@ def _led(start: Screened, beside: "Beside", by_trial: Changes) -> Screened:
 
 
 def _judged(placed: PlacedEffect, trials: Sequence[Trial], beside: "Beside", by_trial: Changes) -> list[Screened]:
+    """Trials of a sign that the effect can have; what diverges is none."""
     judged = (beside.judge(placed, trial, columns) for trial, columns in by_trial.of(placed, trials))
-    return [s for s in judged if s is not None]
+    return [s for s in judged if s is not None and s.coefficients.any()]
 
 
-def _unlike(tried: Sequence[Screened]) -> list[Screened]:
+def _unlike(tried: Sequence[Screened], most: int) -> list[Screened]:
     """The best of all that change the prediction alike, best first; those that change nothing are passed over."""
     out: list[Screened] = []
     told: list[Float[np.ndarray, " values"]] = []
     for s in sorted(tried, key=lambda s: -s.log_evidence):
         change = np.zeros(0) if s.response is None else (s.response @ s.coefficients).ravel()
         size = np.linalg.norm(change)
-        if size > 0 and all(change @ other < UNLIKE * size for other in told):
+        if size > 0 and all(change @ other < ALIKE * size for other in told):
             out.append(s)
             told.append(change / size)
+        if len(out) == most:
+            break
     return out
 
 

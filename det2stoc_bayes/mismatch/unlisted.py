@@ -26,7 +26,7 @@ MOST_BESIDE = 1  # listed effects beside a curve: with two more whatever is reco
 MOST_RESHAPED = 3  # times that a curve's prior is chosen anew
 ENOUGH = 2.0  # nats: a choice that gains less is the last one
 LEFT = 0.2  # of the misfit: what leaves more is not the shape that is missing
-MOST_SPENT = 8.0  # first looks, beyond which what lists have not explained is not looked for beside a curve
+MOST_SPENT = 8.0  # first looks, in steps; after more of them listed effects are not looked for beside a curve
 PROMISING = 0.5  # of the evidence that listed effects earn: what a curve must promise to be fitted
 
 

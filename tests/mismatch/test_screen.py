@@ -20,7 +20,7 @@ from simulated import (
 from det2stoc_bayes.engines.magnitudes import Magnitudes
 from det2stoc_bayes.mismatch import screen as module
 from det2stoc_bayes.mismatch.candidates import candidates
-from det2stoc_bayes.mismatch.effects import Typical, attraction, rotating_frame
+from det2stoc_bayes.mismatch.effects import PlacedEffect, Typical, attraction, rotating_frame
 from det2stoc_bayes.mismatch.effects.base import Trial
 from det2stoc_bayes.mismatch.screen import Screened, screen
 
@@ -242,6 +242,22 @@ def test_a_point_amid_a_bodys_ways_is_approached(tmp_path, monkeypatch, num_star
     best = screen(base, [effect])[0]
     left = 1 - best.gain / base.chi2
     assert (left < 0.1) == found  # measured: 0.03, 0.49 and 0.03
+
+
+def test_of_alike_trials_the_best_sets_out():
+    """Alike is what changes the prediction alike; of a sign that cannot be, or forgotten, a trial changes nothing."""
+    ways = np.array([[1.0, 0.0], [0.95, 0.3], [0.0, 1.0], [-1.0, 0.0], [0.7, 0.7], [1.0, 0.0], [0.0, -1.0]])
+    nats = (9.0, 10.0, 7.0, 6.0, 8.0, -0.69, 5.0)
+    nobody = PlacedEffect.__new__(PlacedEffect)
+
+    def tried(k):
+        size = np.zeros(1) if k == 5 else np.full(1, 3.0 + k)  # the larger one is no less alike
+        response = None if k == 6 else ways[k].reshape(1, 2, 1)
+        return Screened(nobody, Trial(()), nats[k], 1.0, size, np.zeros(0), response)
+
+    every = [tried(k) for k in range(len(nats))]
+    assert module._unlike(every, 9) == [every[k] for k in (1, 4, 2, 3)]  # 0 is in the neighbourhood of 1
+    assert module._unlike(every, 2) == [every[k] for k in (1, 4)]
 
 
 def turning(rate):
