@@ -21,7 +21,7 @@ LEAST, MOST = 0.25, 12.0  # RMS in noise sds, beside psi and beginnings, of stre
 WORST = 30.0  # noise sds at which a difference is cut off: contact that is made at another time
 NEAR = 1.02  # of each psi: what small changes of it do
 POPULATION, SEED = 16, 3
-SEARCHES = ((0.15, 10), (0.02, 6))  # log factors of psi in which these begin, and generations: far, then near the best
+SEARCHES = ((0.15, 10), (0.02, 6), (0.003, 6))  # log factors of psi in which these begin, and generations: ever nearer
 SHIFT = 1e-4, 1e-3  # m or rad, and a second: by which a beginning is moved
 SIZES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15)  # of the largest
 
