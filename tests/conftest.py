@@ -56,20 +56,6 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.rootpath / ".pytest_cache" / "jax"))
 
 
-def pytest_collection_finish(session: pytest.Session) -> None:
-    """Each of the processes that test at once has cores of its own: threads of MuJoCo and XLA that share one wait.
-
-    Modules stay whole (loadscope): of fewer modules than processes each has all cores.
-    """
-    worker = getattr(session.config, "workerinput", None)
-    if worker is None or not hasattr(os, "sched_setaffinity"):  # alone, or on macOS
-        return
-    cores, count = sorted(os.sched_getaffinity(0)), worker["workercount"]
-    if len({item.path for item in session.items}) >= count:
-        mine = cores[int(worker["workerid"].removeprefix("gw")) % count :: count]
-        os.sched_setaffinity(0, mine or cores)
-
-
 def model_xml(bodies: str, rest: str = "", integrator: str = "Euler", option: str | None = None) -> str:
     """A whole MJCF around bodies."""
     option = OPTION.format(integrator=integrator) if option is None else option
