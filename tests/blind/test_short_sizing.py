@@ -51,6 +51,11 @@ def test_a_region_of_other_friction_shows(three):
 HIDDEN = {
     "box": (
         SYSTEMS["thrown_box"],
+        {"friction": 0.29, "contact_time": 0.025},
+        Effect("friction_error", "contact", "board/shell", {"ratio": 0.86}),
+    ),
+    "board": (
+        SYSTEMS["thrown_box"],
         {"friction": 0.381, "contact_time": 0.02033},
         Effect("contact_stiffness", "contact", "board/shell", {"time_constant": 0.01706}),
     ),
@@ -62,10 +67,11 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize("which", HIDDEN)
+@pytest.mark.parametrize("which", ["box", "puck", pytest.param("board", marks=pytest.mark.long)])
 def test_what_psi_hides_is_found_to_be_hidden(which):
-    """psi is the time constant of a box's only contact, which impacts tell to a few thousandths. A fifth of a puck's
-    inertia is five times its turning friction. Measured: 0.21 (0.27 where psi is sought to a fiftieth) and 0.17."""
+    """psi is the friction of a box's only contact: a hundredth off still leaves 1.3 noise sds. A fifth of a puck's
+    inertia is five times its turning friction. A board's contact time is psi itself, which impacts tell to a few
+    thousandths. Measured: 0.20, 0.17 and 0.21 (0.27 where psi is sought to a fiftieth)."""
     system, psi, effect = HIDDEN[which]
     one = draw_probe(np.random.default_rng(0), system, psi, 0.01 * np.arange(system.samples)).first()
     size, change = told(one, effect)
