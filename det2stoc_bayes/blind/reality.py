@@ -51,6 +51,8 @@ class _World:
 
     def meets_stop(self, before: np.ndarray, after: np.ndarray) -> bool:
         """Whether a joint's limit, whose force sets in at once, is passed between two states."""
+        if not self._stopped.size:
+            return False
         beyond = [state[self._stopped, None] > self._ranges for state in (before, after)]
         return bool((beyond[0] != beyond[1]).any())
 

@@ -53,9 +53,16 @@ def changes(
 
 
 def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tried: Sequence[Values]) -> np.ndarray:
-    effect, at = placed.effect, placed.element
-    if effect.uses("reading") or effect.uses("sample_time"):
+    if placed.effect.uses("reading") or placed.effect.uses("sample_time"):
         return np.stack([readings.change(placed, values) for values in tried], -1)
+    return of_motion(response, placed, tried)
+
+
+def of_motion(
+    response: Response, placed: PlacedEffect, tried: Sequence[Values]
+) -> Float[np.ndarray, "segments values columns"]:
+    """What an effect on the motion changes, for each of these parameter values."""
+    effect, at = placed.effect, placed.element
     given = [{n: np.asarray(v, float) for n, v in values.items()} for values in tried]
     if effect.uses("joint_force") or (effect.uses("force_along") and "plain" in at.traits):
         inside = response.joint_states(at)

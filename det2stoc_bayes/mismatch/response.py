@@ -18,10 +18,10 @@ from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.engines.drive import drive_of
 from det2stoc_bayes.engines.layout import integrate_positions, position_difference
 from det2stoc_bayes.engines.places import Places, bodies_of, places
-from det2stoc_bayes.linearization import START_STEP
+from det2stoc_bayes.linearization import START_STEP, Point
 from det2stoc_bayes.mismatch.effects.base import Drive, Effect, Element, JointState, PlacedEffect, Typical
 from det2stoc_bayes.optimize import Fit
-from det2stoc_bayes.problem import merge_requests
+from det2stoc_bayes.problem import Problem, merge_requests
 from det2stoc_bayes.segments import from_pieces
 
 NUM_INSIDE = 8  # points of an interval at which a force is averaged
@@ -36,10 +36,13 @@ class Response:
     """The linear time-varying system along a fit's trajectory. Shapes: S segments, K intervals, m state, y columns."""
 
     def __init__(self, fit: Fit):
-        self.problem, self.point = fit.problem, fit.point
-        segments, model = self.problem.segments, self.problem.simulator.model
-        request = self.problem.request(self.point.z[None], self.point.start)
-        path = self.problem.simulator.engine.trajectory(request)
+        self._set_out(fit.problem, fit.point, fit.problem.request(fit.point.z[None], fit.point.start))
+
+    def _set_out(self, problem: Problem, point: Point, request: Request) -> None:
+        """Along what is requested."""
+        self.problem, self.point = problem, point
+        segments, model = problem.segments, problem.simulator.model
+        path = problem.simulator.engine.trajectory(request)
         self._fields = request.fields
         self.real = np.diff(segments.time, axis=1) > 0  # intervals that are not padding
         self.shape = self.real.shape
@@ -90,6 +93,9 @@ class Response:
         a = np.moveaxis(state[1:] - state[0], 0, -1) / steps
         c = np.moveaxis(column[1:] - column[0], 0, -1) / steps
         self.a, self.c = self._spread(np.nan_to_num(a)), self._spread(np.nan_to_num(c))
+        self._forget()
+
+    def _forget(self) -> None:
         self._inside: dict[tuple[int, int, tuple[int, ...]], JointState] = {}
         self._units: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {}
 

@@ -14,6 +14,9 @@ from det2stoc_bayes.mismatch.contact.fit import at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.judge import classes
 from det2stoc_bayes.mismatch.contact.pair import Pair, sketched, without_last
+from det2stoc_bayes.mismatch.contact.places import elements_of
+from det2stoc_bayes.mismatch.effects.base import PlacedEffect
+from det2stoc_bayes.mismatch.effects.contact import ContactStiffness
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 
@@ -162,31 +165,28 @@ def test_a_missing_drag_is_screened_and_fitted(problem, followed, pool):
     assert base.losses.sum() - more.losses.sum() > 30
 
 
-def test_many_trials_are_sifted_and_the_best_is_kept(fit, pool, monkeypatch):
-    rich = max(pool, key=lambda p: sum(len(t.columns) for t in p.effect.trials(p.typical)))
-    one, few = fit.only(np.array([0])), fit.only(np.array([0, 1]))
-    trials = list(rich.effect.trials(rich.typical))
-    assert len(trials) > screening.MANY
-    kept = screening._sifted(one, few, rich)
-    assert len(kept) == screening.KEPT and kept[0][1] in screening.SIZES
-    (best,) = screening.screen(fit, [rich])
-    monkeypatch.setattr(screening, "MANY", 10**6)
-    (whole,) = screening.screen(fit, [rich])
-    # nothing is missing here: a few nats by all trials, and some of them by those that promise most on one recording
-    assert 0 < best.gain <= 3 * whole.gain + 1e-9
-
-
-def test_columns_have_the_size_that_promises_most(fit, pool):
-    """A trial of full size stays as it is; of others all sizes are tried."""
-    drag = named(pool, "linear_drag")
-    (trial,) = drag.effect.trials(drag.typical)
+def test_columns_have_the_size_that_promises_most(fit):
+    """Of what is simulated all sizes are tried; a trial of full size stays as it is."""
+    placed = named(candidates(fit.problem, elements_of(fit)), "contact_stiffness")
+    trials = list(placed.effect.trials(placed.typical))
     gains = {}
-    for size in screening.SIZES:
-        (change,) = screening._changes(fit, drag, [(trial, size)])
-        gains[size] = screening._promised(fit, drag, trial, change, size).gain
-    ((_, size),) = screening._best(fit, drag, [trial], screening.SIZES)
-    assert gains[size] == max(gains.values())
-    assert screening._best(fit, drag, [replace(trial, sd=1.0)], screening.SIZES)[0][1] == 1.0
+    for k, trial in enumerate(trials):
+        for size in screening.SIZES if trial.sd > 1 else (1.0,):
+            (change,) = screening._changes(fit, placed, [(trial, size)])
+            gains[k, size] = screening._promised(fit, placed, trial, change, size).gain
+    best, size = max(gains, key=lambda key: gains[key])
+    kept = screening._sized(fit, placed)
+    assert kept[0] == (trials[best], size) and len(kept) <= screening.KEPT
+    full = PlacedEffect(Whole(), placed.element, placed.typical)
+    assert [size for _, size in screening._sized(fit, full)] == [1.0]
+
+
+class Whole(ContactStiffness):
+    """With a trial that is as large as the effect."""
+
+    def trials(self, typical):
+        """Of its first trial."""
+        return [replace(next(iter(super().trials(typical))), sd=1.0)]
 
 
 def gaining(base, more, gains):

@@ -34,11 +34,11 @@ def make_observer(
     places = Places(model, segments.columns)
     noise = places.noise(problem.noise)
     seen = places.seen(segments.observed)
-    gains, spread = forgetting_gains(segments.time, seen, noise, _first_sd(problem, noise), memory, contact)
+    gains, spread = forgetting_gains(segments.time, seen, noise, sds_of_starts(problem, noise), memory, contact)
     return Observer(gains, segments.values, seen), places.of_columns(spread, segments.values)
 
 
-def _first_sd(problem: Problem, noise: Float[np.ndarray, "nv 2"]) -> Float[np.ndarray, "nv 2"]:
+def sds_of_starts(problem: Problem, noise: Float[np.ndarray, "nv 2"]) -> Float[np.ndarray, "nv 2"]:
     """sd of recorded starts in tangent coordinates (positions, speeds)."""
     nv, time = problem.simulator.model.nv, problem.segments.time
     interval = np.diff(time, axis=1)

@@ -1,24 +1,24 @@
 """Ranking every effect by what its small change of the predictions would gain beside psi."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from det2stoc_bayes.mismatch.changes import MAX_COLUMNS
 from det2stoc_bayes.mismatch.contact.differences import steady
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import FARTHEST
+from det2stoc_bayes.mismatch.contact.led_response import LedResponse, foretells
 from det2stoc_bayes.mismatch.contact.regions import likeliest_border
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
 
 SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
-SOME = 3  # one of so many recordings is looked at, and has its say as often
-MANY = 4  # trials of an effect beyond which they are first tried on a lone recording, by columns of the middle size,
-FEWER = 8  # of which so many are tried on
-KEPT = 2  # trials of an effect that are judged by differences to both sides
+SOME = 3  # one of so many recordings is looked at where it takes simulations, and has its say as often
+KEPT = 2  # trials of an effect that are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,19 +35,24 @@ class Promise:
 def screen(
     fit: ContactFit, pool: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda _: None
 ) -> list[Promise]:
-    """Every candidate's best trials, most gain first, by what they do to recordings that are told badly and well.
+    """Every candidate's best trials, most gain first.
 
-    A finer integration takes several times as long; it changes what is foretold, but hardly what an effect does to it.
+    Most are judged to first order by all recordings. What first order does not tell is simulated over some of those
+    that are told badly and well, by the believed integration: a finer one takes several times as long; it changes what
+    is foretold, but hardly what an effect does to it.
     """
-    one, few = fit.only(told_worst(fit)[:1]), some(fit)
+    few, led = some(fit), LedResponse(fit)
     share = fit.problem.segments.count / few.problem.segments.count
 
     def promised(placed: PlacedEffect) -> Promise | None:
-        found = [replace(p, gain=share * p.gain) for p in _judged(few, placed, _sifted(one, few, placed))]
+        if foretells(placed):
+            found = _foretold(fit, led, placed)
+        else:
+            found = [replace(p, gain=share * p.gain) for p in _judged(few, placed, _sized(few, placed))]
         found = sorted([*_bordered(fit, placed), *found], key=lambda p: -p.gain)
         return replace(found[0], others=tuple(found[1:])) if found else None
 
-    for shared in (fit, one, few):
+    for shared in (fit, few):
         shared.prepare()
     found = side_by_side(fit.problem, promised, pool, lambda k: advance(int(k > 0)))
     advance(int(len(pool) > 0))
@@ -74,25 +79,35 @@ def some(fit: ContactFit) -> ContactFit:
     return fit.only(np.sort(order[::SOME]))
 
 
-def _sifted(one: ContactFit, few: ContactFit, placed: PlacedEffect) -> list[tuple[Trial, float]]:
-    """The trials that promise most, each with the size of its columns that does."""
-    trials, sizes = list(placed.effect.trials(placed.typical)), SIZES
-    if len(trials) > MANY:
-        trials, sizes = [t for t, _ in _best(one, placed, trials, SIZES[1:2])[:FEWER]], SIZES[1:]
-    return _best(few, placed, trials, sizes)[:KEPT]
+def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[Promise]:
+    """What trials promise to first order; best first."""
+    out = []
+    for trials in _together(list(placed.effect.trials(placed.typical))):
+        columns = led.lessened(placed, [dict(values) for t in trials for values in t.columns])
+        ends = np.cumsum([len(t.columns) for t in trials])[:-1]
+        for trial, own in zip(trials, np.split(columns, ends, axis=-1), strict=True):
+            out.append(_promised(fit, placed, trial, own, 1.0))
+    return sorted(out, key=lambda p: -p.gain)[:KEPT]
 
 
-def _best(
-    fit: ContactFit, placed: PlacedEffect, trials: Sequence[Trial], sizes: Sequence[float]
-) -> list[tuple[Trial, float]]:
-    """Trials, best first, each by its best size; of full size they stay as they are."""
-    each = [sizes if t.sd > 1 else (1.0,) for t in trials]
+def _together(trials: Sequence[Trial]) -> Iterator[Sequence[Trial]]:
+    """As many trials at once as there is room for columns."""
+    while trials:
+        count = max(MAX_COLUMNS // max(len(t.columns) for t in trials), 1)
+        yield trials[:count]
+        trials = trials[count:]
+
+
+def _sized(fit: ContactFit, placed: PlacedEffect) -> list[tuple[Trial, float]]:
+    """The trials that promise most by differences to one side, each by its best size; of full size they stay so."""
+    trials = list(placed.effect.trials(placed.typical))
+    each = [SIZES if t.sd > 1 else (1.0,) for t in trials]
     sized = [(t, size) for t, mine in zip(trials, each, strict=True) for size in mine]
     changes = _changes(fit, placed, sized)
     gains = iter([_promised(fit, placed, t, up, size).gain for (t, size), up in zip(sized, changes, strict=True)])
     best = [max((next(gains), size) for size in mine) for mine in each]
     order = sorted(range(len(trials)), key=lambda k: -best[k][0])
-    return [(trials[k], best[k][1]) for k in order]
+    return [(trials[k], best[k][1]) for k in order][:KEPT]
 
 
 def _judged(fit: ContactFit, placed: PlacedEffect, sized: Sequence[tuple[Trial, float]]) -> list[Promise]:
