@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from det2stoc_bayes.mismatch.changes import MAX_COLUMNS
 from det2stoc_bayes.mismatch.contact.differences import steady
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import FARTHEST
@@ -19,6 +18,7 @@ from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
 SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
 SOME = 3  # one of so many recordings is looked at where it takes simulations, and has its say as often
 KEPT = 2  # trials of an effect that are kept
+MOST_HELD = 4_000_000  # numbers of what trials change that are held at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,8 @@ def some(fit: ContactFit) -> ContactFit:
 def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[Promise]:
     """What trials promise to first order; best first."""
     out = []
-    for trials in _together(list(placed.effect.trials(placed.typical))):
+    room = max(MOST_HELD // led.path.columns.size, 1)
+    for trials in _together(list(placed.effect.trials(placed.typical)), room):
         columns = led.lessened(placed, [dict(values) for t in trials for values in t.columns])
         ends = np.cumsum([len(t.columns) for t in trials])[:-1]
         for trial, own in zip(trials, np.split(columns, ends, axis=-1), strict=True):
@@ -90,10 +91,10 @@ def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[P
     return sorted(out, key=lambda p: -p.gain)[:KEPT]
 
 
-def _together(trials: Sequence[Trial]) -> Iterator[Sequence[Trial]]:
-    """As many trials at once as there is room for columns."""
+def _together(trials: Sequence[Trial], room: int) -> Iterator[Sequence[Trial]]:
+    """As many trials at once as there is room for their columns; one at least."""
     while trials:
-        count = max(MAX_COLUMNS // max(len(t.columns) for t in trials), 1)
+        count = max(room // max(len(t.columns) for t in trials), 1)
         yield trials[:count]
         trials = trials[count:]
 
