@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from det2stoc_bayes.engines.quiet import QUIET
+from det2stoc_bayes.engines.quiet import UNTIMED
 from det2stoc_bayes.models._population import Normals
 from det2stoc_bayes.models._windowed import Windowed
 from det2stoc_bayes.priors import Prior
@@ -46,7 +46,7 @@ def load_model() -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(MODEL))
 
 
-@QUIET
+@UNTIMED
 def simulate(
     psi: Float[np.ndarray, "episodes 3"],
     *,

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from det2stoc_bayes.engines.quiet import QUIET
+from det2stoc_bayes.engines.quiet import UNTIMED
 from det2stoc_bayes.models._arm import Arm
 from det2stoc_bayes.models._population import Normals, Uniforms
 from det2stoc_bayes.models._runs import Runs
@@ -86,7 +86,7 @@ def prepared(model: mujoco.MjModel, psi: Float[np.ndarray, "sims 2"], num_thread
     return batch
 
 
-@QUIET
+@UNTIMED
 def simulate(
     psi: Float[np.ndarray, "sims 2"],
     start: Float[np.ndarray, "sims 41"],

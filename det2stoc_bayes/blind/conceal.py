@@ -27,7 +27,7 @@ from det2stoc_bayes.blind.sizing import (
 )
 from det2stoc_bayes.blind.systems import SYSTEMS
 from det2stoc_bayes.blind.variants import VARIANTS, Setting, choose, possible
-from det2stoc_bayes.engines.quiet import QUIET
+from det2stoc_bayes.engines.quiet import QUIET, UNTIMED
 from det2stoc_bayes.files import write_all
 
 ATTEMPTS = 6  # draws of a system, psi and experiments
@@ -52,6 +52,7 @@ class ConcealedCase:
         return write_all(folder, self.encoded())
 
 
+@UNTIMED
 @QUIET  # sizes are tried that a simulation does not survive
 def make_case(
     seed: int,

@@ -98,14 +98,14 @@ def told(probe: Probe, effect: Effect) -> tuple[float, float]:
 
 
 def _in_its_place(effect: Effect, psi: dict[str, float]) -> Iterator[dict[str, float]]:
-    """psi that may be what the effect makes of it: one of them is a parameter's value, or so many times as large.
+    """psi that may be what the effect makes of it: one is a parameter's value, so much more or so many times it.
 
     Impacts tell a contact's time to a few thousandths, nearer than a search comes.
     """
     numbers = {float(np.ravel(value)[0]) for value in effect.parameters.values() if np.ptp(value) == 0}
     for number in (n for n in numbers if n > 0):
         for name, value in psi.items():
-            for other in (number, value * number, value / number):
+            for other in (number, value + number, value * number, value / number):
                 yield psi | {name: other}
 
 
@@ -127,9 +127,11 @@ def _beside_psi(changes: Sequence[_Change], psi: dict[str, float], others: Seque
 
     size = max(len(psi), 2)  # of one dimension CMA-ES knows nothing: another stands idle
     least, raw, best = near(psi), np.inf, psi
-    for there in others if least >= LEAST else ():
-        if (found := raw_of(there)) < LEAST**2:
-            return float(np.sqrt(found))
+    for there in (psi, *others) if least >= LEAST else ():
+        if (found := raw_of(there)) < raw:
+            raw, best = found, there
+        if raw < LEAST**2:
+            return float(np.sqrt(raw))
     for sigma, generations in SEARCHES if least >= LEAST else ():
         search = CMA(mean=np.zeros(size), sigma=sigma, seed=SEED, population_size=POPULATION)
         about = best

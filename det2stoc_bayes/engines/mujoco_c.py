@@ -17,7 +17,7 @@ from det2stoc_bayes.engines.base import Counter, Request, Trajectory
 from det2stoc_bayes.engines.contacts import may_touch
 from det2stoc_bayes.engines.mujoco_chunk import Chunk, num_before
 from det2stoc_bayes.engines.mujoco_steps import is_stepped
-from det2stoc_bayes.engines.quiet import QUIET
+from det2stoc_bayes.engines.quiet import QUIET, UNTIMED
 
 MAX_SIMULATIONS = 4096
 MAX_PERSISTENT = 512  # simulations that keep an MjData each (some 100 KB and more)
@@ -79,7 +79,7 @@ class MujocoC:
             if (halt := HALT.get()) is not None and halt.is_set():
                 raise CancelledError
             rows, threads = slice(begin, min(begin + size, len(steps))), max(self.threads // self.users, 1)
-            with QUIET:
+            with QUIET, UNTIMED:
                 parts.append(Chunk(model, request, rows, int(steps[rows].max()), threads).run(states))
             with _COUNTING:
                 self.counter.simulations += rows.stop - rows.start

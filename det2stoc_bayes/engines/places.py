@@ -8,6 +8,7 @@ import mujoco.batch
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.engines.quiet import QUIET, UNTIMED
 from det2stoc_bayes.mismatch.effects.base import BodyState, Element
 from det2stoc_bayes.mismatch.effects.vectors import cross
 
@@ -92,7 +93,8 @@ def places(
             own[:] = values[rows].reshape(own.shape)
         batch.bind("qpos")[:], batch.bind("qvel")[:] = qpos[rows], qvel[rows]
         derived = {name: batch.bind(name) for name in DERIVED}
-        batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+        with QUIET, UNTIMED:
+            batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         parts.append([np.array(a) for a in derived.values()])
     found: dict[str, np.ndarray] = dict(
         zip(DERIVED, (np.concatenate(a) for a in zip(*parts, strict=True)), strict=True)

@@ -5,40 +5,70 @@ import threading
 from contextlib import ContextDecorator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
 
-class _Quiet(ContextDecorator):
-    """Keeps MuJoCo's warnings of simulations that diverge off the console and out of its log file, and its clock still.
-
-    Reading the clock for `MjData.timer` takes a fifth of a step with contacts, and half of one of a pendulum by RK4.
-    """
+class _ProcessWide(ContextDecorator):
+    """A setting that is changed while any thread is inside, and put back when the last one leaves."""
 
     def __init__(self):
-        self._lock, self._depth, self._before = threading.Lock(), 0, (True, True, None)
+        self._lock, self._depth, self._before = threading.Lock(), 0, None
 
     def __enter__(self):
         with self._lock:
             if self._depth == 0:
-                config, clock = mujoco.MjLogConfig.get(), _clock()
-                self._before = config.logto_console, config.logto_file, clock and clock.value
-                _log_to(False, False)
-                if clock is not None:
-                    clock.value = None
+                self._before = self._change()
             self._depth += 1
 
     def __exit__(self, *_):
         with self._lock:
             self._depth -= 1
             if self._depth == 0:
-                *log, read = self._before
-                _log_to(*log)
-                if (clock := _clock()) is not None:
-                    clock.value = read
+                self._put_back(self._before)
+
+    def _change(self) -> Any:
+        """Changes it, and says what it was."""
+        raise NotImplementedError
+
+    def _put_back(self, before: Any) -> None:
+        raise NotImplementedError
 
 
-QUIET = _Quiet()
+class _Quiet(_ProcessWide):
+    """Keeps MuJoCo's warnings of simulations that diverge off the console and out of its log file."""
+
+    def _change(self) -> tuple[bool, bool]:
+        config = mujoco.MjLogConfig.get()
+        before = config.logto_console, config.logto_file
+        self._put_back((False, False))
+        return before
+
+    def _put_back(self, before: tuple[bool, bool]) -> None:
+        config = mujoco.MjLogConfig.get()
+        config.logto_console, config.logto_file = before
+        config.set()
+
+
+class _Untimed(_ProcessWide):
+    """Keeps MuJoCo from reading the clock for `MjData.timer`, in every thread of the process.
+
+    It takes a fifth of a step with contacts, and half of one of a pendulum by RK4.
+    """
+
+    def _change(self) -> int | None:
+        clock = _clock()
+        before = None if clock is None else clock.value
+        self._put_back(None)
+        return before
+
+    def _put_back(self, before: int | None) -> None:
+        if (clock := _clock()) is not None:
+            clock.value = before
+
+
+QUIET, UNTIMED = _Quiet(), _Untimed()
 
 
 @cache
@@ -54,9 +84,3 @@ def _clock() -> ctypes.c_void_p | None:
         except (OSError, ValueError):
             continue
     return None
-
-
-def _log_to(console: bool, file: bool) -> None:
-    config = mujoco.MjLogConfig.get()
-    config.logto_console, config.logto_file = console, file
-    config.set()

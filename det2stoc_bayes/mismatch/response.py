@@ -39,7 +39,7 @@ class Response:
         self._set_out(fit.problem, fit.point, fit.problem.request(fit.point.z[None], fit.point.start))
 
     def _set_out(self, problem: Problem, point: Point, request: Request) -> None:
-        """Along what is requested."""
+        """Linearizes the simulations that are requested, at the problem's point."""
         self.problem, self.point = problem, point
         segments, model = problem.segments, problem.simulator.model
         path = problem.simulator.engine.trajectory(request)
@@ -96,6 +96,7 @@ class Response:
         self._forget()
 
     def _forget(self) -> None:
+        """Nothing is known of joints or units yet."""
         self._inside: dict[tuple[int, int, tuple[int, ...]], JointState] = {}
         self._units: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {}
 
@@ -185,7 +186,7 @@ class Response:
         """d and e of 1 m/s2 more gravity along an axis, by a small step."""
         key = ("gravity", axis)
         if key not in self._units:
-            d, e = self.defects([(_unit_gravity(), {"change": GRAVITY_STEP * np.eye(3)[axis]})])
+            d, e = self.defects([(gravity_probe(), {"change": GRAVITY_STEP * np.eye(3)[axis]})])
             self._units[key] = d[..., 0] / GRAVITY_STEP, e[..., 0] / GRAVITY_STEP
         return self._units[key]
 
@@ -286,7 +287,8 @@ def _unit_command(at: Element) -> PlacedEffect:
     return PlacedEffect(CATALOGUE["actuator_bias"], at, Typical())
 
 
-def _unit_gravity() -> PlacedEffect:
+def gravity_probe() -> PlacedEffect:
+    """A change of gravity's vector."""
     from det2stoc_bayes.mismatch.effects.base_vibration import GravityChange
 
     return PlacedEffect(GravityChange(), Element("world", "world"), Typical())

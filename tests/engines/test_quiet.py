@@ -5,7 +5,8 @@ import pytest
 from conftest import model_xml
 from simulated import SPRING
 
-from det2stoc_bayes.engines.quiet import QUIET
+from det2stoc_bayes.engines import quiet
+from det2stoc_bayes.engines.quiet import UNTIMED
 
 STEPS = int(mujoco.mjtTimer.mjTIMER_STEP)
 
@@ -20,11 +21,26 @@ def timed(model):
 def test_no_clock_is_read_and_afterwards_it_is_again():
     model = mujoco.MjModel.from_xml_string(model_xml(SPRING))
     assert timed(model) > 0
-    with QUIET:
-        with QUIET:
+    with UNTIMED:
+        with UNTIMED:
             assert timed(model) == 0
         assert timed(model) == 0
     assert timed(model) > 0
-    with pytest.raises(ValueError, match="inside"), QUIET:
+    with pytest.raises(ValueError, match="inside"), UNTIMED:
         raise ValueError("inside")
     assert timed(model) > 0
+
+
+def test_where_no_clock_is_read_already_none_is_put_back(monkeypatch):
+    model, clock = mujoco.MjModel.from_xml_string(model_xml(SPRING)), quiet._clock()
+    assert clock is not None
+    before, clock.value = clock.value, None
+    try:
+        with UNTIMED:
+            assert timed(model) == 0
+        assert timed(model) == 0
+    finally:
+        clock.value = before
+    monkeypatch.setattr(quiet, "_clock", lambda: None)  # where the library is not found
+    with UNTIMED:
+        assert timed(model) > 0

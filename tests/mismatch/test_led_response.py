@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import FREE, make_study, model_xml
+from conftest import ARM, FREE, GENERAL, make_study, model_xml
 from simulated import pose, recordings
 from sliding import PSI, XML, slides
 
@@ -82,3 +82,37 @@ def test_where_a_puck_slides_it_is_nearly_so(tmp_path):
     found = LedResponse(fit).lessened(placed, [dict(values) for values in trial.columns]).ravel()
     assert found @ expected > 0.9 * np.linalg.norm(found) * np.linalg.norm(expected)
     assert np.linalg.norm(found) == pytest.approx(np.linalg.norm(expected), rel=0.3)
+
+
+def test_of_a_recording_that_diverges_nothing_is_foretold(flying):
+    fit, _, pool = flying
+    start = fit.followed.start
+    qvel = start.qvel.copy()
+    qvel[0] = 1e12
+    thrown = replace(fit, followed=replace(fit.followed))
+    thrown.followed.__dict__["start"] = replace(start, qvel=qvel)
+    placed = next(p for p in pool if p.effect.name == "linear_drag")
+    (trial,) = placed.effect.trials(placed.typical)
+    found = LedResponse(thrown).lessened(placed, [dict(values) for values in trial.columns])
+    blocks = fit.followed.blocks
+    assert (found[:blocks] == 0).all() and np.isfinite(found).all() and found[blocks:].any()
+
+
+def test_of_what_is_seen_in_part_and_driven_through_a_filter(tmp_path):
+    """An elbow that no column shows is moved by a part of its spread, a motor's state, near its limit, by little."""
+    filtered = GENERAL.replace('dyntype="filterexact"', 'dyntype="filterexact" actlimited="true" actrange="0 1"')
+    xml = model_xml(ARM, filtered)
+    steps = 5 * np.arange(31)
+    commands = [np.column_stack([0.3 * np.sin(0.2 * np.arange(31)), np.full(31, 0.4)])]
+    whole = recordings(xml, [([0.3, 0.8], [0.2, -1.0])], steps, [0.001, 0.001, 0.01, 0.01], ctrl=commands)
+    made = {name: (time, {c: v for c, v in table.items() if "elbow" not in c}) for name, (time, table) in whole.items()}
+    problem = pose(make_study(tmp_path / "study", xml, '[noise]\n"qpos/*" = 0.001\n"qvel/*" = 0.01\n', made))
+    fit = at(Followed(problem, 12.0), np.zeros(0))
+    led, looked_at = LedResponse(fit), set()
+    for placed in candidates(problem):
+        if placed.effect.name in ("constant_force", "actuator_bias", "actuator_gain", "inertia_error"):
+            trial = list(placed.effect.trials(placed.typical))[0]
+            expected = simulated(fit, placed, trial)
+            looked_at.add(placed.label)
+            assert apart(led.lessened(placed, [dict(v) for v in trial.columns]), expected) < 0.15, placed.label
+    assert {"constant_force on joint elbow", "actuator_bias on actuator servo"} <= looked_at

@@ -7,26 +7,36 @@ have nothing in common, and count for as little as they do for unknowns.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from threading import RLock
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.observer import Places
-from det2stoc_bayes.linearization import Point
+from det2stoc_bayes.linearization import START_STEP, Point
 from det2stoc_bayes.mismatch.changes import Values, of_motion
 from det2stoc_bayes.mismatch.contact.differences import steady
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
+from det2stoc_bayes.mismatch.contact.followed import FARTHEST
 from det2stoc_bayes.mismatch.contact.observers import sds_of_starts
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
-from det2stoc_bayes.mismatch.response import Response
+from det2stoc_bayes.mismatch.response import Response, gravity_probe
+
+UNSEEN = 0.1  # of its spread, which may be half a turn: as far as a coordinate that nothing shows is moved
+WIDER = 10.0  # times a free trajectory's steps: forces to either side of none, past a contact's kink
+PULL = 1.0  # m/s2
 
 
 class LedResponse(Response):
-    """The linear time-varying system along a fit's led simulations, one a recording."""
+    """The linear time-varying system along a fit's led simulations, one a recording; threads may share it.
+
+    Where the hypothesis has a sensor's effect, the observer is taken to see what moves, not what is read of it.
+    """
 
     def __init__(self, fit: ContactFit):
         plain = fit.as_believed.followed
-        self._followed = plain
+        self._followed, self._finding = plain, RLock()  # what several threads share is found by one
         self._places = Places(plain.problem.simulator.model, plain.problem.segments.columns)
         request = replace(plain.problem.request(fit.z[None], plain.start), observer=plain.observer)
         self._set_out(plain.problem, Point(fit.z, plain.start), request)
@@ -36,7 +46,8 @@ class LedResponse(Response):
         """Over as far as a state is known, to both sides."""
         problem, model = self.problem, self.problem.simulator.model
         noise = self._places.noise(problem.noise)
-        steps = np.concatenate([sds_of_starts(problem, noise).T.ravel(), np.ones(model.na)])
+        known = np.where(np.isfinite(noise), 1.0, UNSEEN) * sds_of_starts(problem, noise)
+        steps = np.concatenate([known.T.ravel(), np.full(model.na, START_STEP)])
         requests = [self._request(self.begin)]
         for i, sign in ((i, sign) for i in range(self.state_size) for sign in (1.0, -1.0)):
             change = np.zeros((len(self.pieces), self.state_size))
@@ -51,6 +62,27 @@ class LedResponse(Response):
 
         self.a, self.c = self._spread(slopes(state)), self._spread(slopes(column))
         self._forget()
+
+    def _unit_response(self, key: tuple[str, int], probe: PlacedEffect, step: float) -> tuple[np.ndarray, np.ndarray]:
+        with self._finding:
+            if key[0] != "dof":
+                return super()._unit_response(key, probe, step)
+            if key not in self._units:
+                self._units[key] = self._to_both_sides(probe, probe.effect.parameters[0].name, WIDER * step)
+            return self._units[key]
+
+    def _unit_pull(self, axis: int) -> tuple[np.ndarray, np.ndarray]:
+        with self._finding:
+            key = ("gravity", axis)
+            if key not in self._units:
+                self._units[key] = self._to_both_sides(gravity_probe(), "change", PULL * np.eye(3)[axis])
+            return self._units[key]
+
+    def _to_both_sides(self, probe: PlacedEffect, name: str, step: Any) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of one unit of a probe's parameter."""
+        d, e = (steady(x[..., 0], -x[..., 1]) for x in self.defects([(probe, {name: s * step}) for s in (1, -1)]))
+        size = float(np.linalg.norm(step))
+        return d / size, e / size
 
     def propagate(self, d: np.ndarray, e: np.ndarray) -> Float[np.ndarray, "S values columns"]:
         """Change of what is foretold (flat over samples and columns) that is caused by defects."""
@@ -83,7 +115,13 @@ class LedResponse(Response):
             after = self.problem.residuals((self.path.columns + moved).reshape(-1, *shape[1:]))
             change = self._left - after.reshape(len(tried), *self._left.shape)
             change = self._followed.in_blocks(change.reshape(-1, *shape[1:]))
-        return np.moveaxis(np.where(np.isfinite(change), change, 0.0), 0, -1)
+        told = np.isfinite(change) & (np.abs(change) < FARTHEST)  # a simulation that diverges tells nothing
+        return np.moveaxis(np.where(told, change, 0.0), 0, -1)
+
+    @property
+    def held(self) -> int:
+        """Numbers that a column of what changes takes."""
+        return int(np.prod(self.path.qpos.shape[:2])) * max(self.path.columns.shape[-1], self.state_size)
 
     def _misread(self, placed: PlacedEffect, tried: Sequence[Values]) -> Float[np.ndarray, "S values columns"]:
         """What a sensor's effect changes: what is read, and where the observer then leads the simulation."""

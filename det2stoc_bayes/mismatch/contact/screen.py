@@ -18,7 +18,7 @@ from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
 SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
 SOME = 3  # one of so many recordings is looked at where it takes simulations, and has its say as often
 KEPT = 2  # trials of an effect that are kept
-MOST_HELD = 4_000_000  # numbers of what trials change that are held at once
+MOST_HELD = 2_000_000  # numbers of what trials change that are held at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def some(fit: ContactFit) -> ContactFit:
 def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[Promise]:
     """What trials promise to first order; best first."""
     out = []
-    room = max(MOST_HELD // led.path.columns.size, 1)
+    room = max(MOST_HELD // led.held, 1)
     for trials in _together(list(placed.effect.trials(placed.typical)), room):
         columns = led.lessened(placed, [dict(values) for t in trials for values in t.columns])
         ends = np.cumsum([len(t.columns) for t in trials])[:-1]
