@@ -54,6 +54,8 @@ class Response:
         s, k = np.nonzero(self.real)
         self.begin = Start(path.qpos[s, k], path.qvel[s, k], path.act[s, k])
         self.path, self.state_size = path, 2 * model.nv + model.na
+        self._inside: dict[tuple[int, int, tuple[int, ...]], JointState] = {}
+        self._units: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {}
         self._linearize()
 
     def _request(self, start: Start, extra: Sequence[tuple[PlacedEffect, Mapping[str, Any]]] = ()) -> Request:
@@ -93,12 +95,6 @@ class Response:
         a = np.moveaxis(state[1:] - state[0], 0, -1) / steps
         c = np.moveaxis(column[1:] - column[0], 0, -1) / steps
         self.a, self.c = self._spread(np.nan_to_num(a)), self._spread(np.nan_to_num(c))
-        self._forget()
-
-    def _forget(self) -> None:
-        """Nothing is known of joints or units yet."""
-        self._inside: dict[tuple[int, int, tuple[int, ...]], JointState] = {}
-        self._units: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {}
 
     def _moved(self, change: np.ndarray) -> Start:
         nv, model = self.problem.simulator.model.nv, self.problem.simulator.model

@@ -70,7 +70,7 @@ def test_what_contact_makes_or_a_sensor_tells_late_is_not_foretold(flying):
 
 
 def test_where_a_puck_slides_it_is_nearly_so(tmp_path):
-    """What slows it, by differences to both sides that are wide enough: measured, the cosine of the two is 0.97."""
+    """What slows it, by differences to both sides that are wide enough: measured: cosine 0.996, 1.17 times as large."""
     study = make_study(tmp_path / "study", XML.format(0.02), PSI, slides())
     problem = make_problem(Simulator(study, num_threads=1))
     heard = np.isin(problem.segments.columns, ["qpos/glide/x", "qpos/glide/y", "qvel/glide/vx", "qvel/glide/vy"])
@@ -99,14 +99,15 @@ def test_of_a_recording_that_diverges_nothing_is_foretold(flying):
 
 
 def test_of_what_is_seen_in_part_and_driven_through_a_filter(tmp_path):
-    """An elbow that no column shows is moved by a part of its spread, a motor's state, near its limit, by little."""
+    """An elbow that no column shows is moved by a part of its spread, a motor's state, near its limit, by little.
+    Measured: 0.009 at most."""
     filtered = GENERAL.replace('dyntype="filterexact"', 'dyntype="filterexact" actlimited="true" actrange="0 1"')
     xml = model_xml(ARM, filtered)
     steps = 5 * np.arange(31)
     commands = [np.column_stack([0.3 * np.sin(0.2 * np.arange(31)), np.full(31, 0.4)])]
     whole = recordings(xml, [([0.3, 0.8], [0.2, -1.0])], steps, [0.001, 0.001, 0.01, 0.01], ctrl=commands)
     made = {name: (time, {c: v for c, v in table.items() if "elbow" not in c}) for name, (time, table) in whole.items()}
-    problem = pose(make_study(tmp_path / "study", xml, '[noise]\n"qpos/*" = 0.001\n"qvel/*" = 0.01\n', made))
+    problem = pose(make_study(tmp_path / "study", xml, NOISE, made))
     fit = at(Followed(problem, 12.0), np.zeros(0))
     led, looked_at = LedResponse(fit), set()
     for placed in candidates(problem):
@@ -114,5 +115,5 @@ def test_of_what_is_seen_in_part_and_driven_through_a_filter(tmp_path):
             trial = list(placed.effect.trials(placed.typical))[0]
             expected = simulated(fit, placed, trial)
             looked_at.add(placed.label)
-            assert apart(led.lessened(placed, [dict(v) for v in trial.columns]), expected) < 0.15, placed.label
+            assert apart(led.lessened(placed, [dict(v) for v in trial.columns]), expected) < 0.05, placed.label
     assert {"constant_force on joint elbow", "actuator_bias on actuator servo"} <= looked_at

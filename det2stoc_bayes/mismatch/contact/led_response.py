@@ -61,7 +61,6 @@ class LedResponse(Response):
             return np.moveaxis(steady(np.nan_to_num(up), -np.nan_to_num(down)), 0, -1) / steps
 
         self.a, self.c = self._spread(slopes(state)), self._spread(slopes(column))
-        self._forget()
 
     def _unit_response(self, key: tuple[str, int], probe: PlacedEffect, step: float) -> tuple[np.ndarray, np.ndarray]:
         with self._finding:
@@ -142,5 +141,5 @@ class LedResponse(Response):
 
 
 def foretells(placed: PlacedEffect) -> bool:
-    """Whether first order says what an effect changes: contact's own, or what is read late, is simulated."""
+    """Whether first order says what an effect changes; contact's own, and what is read late, are simulated."""
     return placed.element.kind != "contact" and not placed.effect.uses("sample_time")
