@@ -158,9 +158,11 @@ class Composer:
 
     def _open_question(self) -> tuple[list[finding.Alternative], finding.Experiment | None]:
         """What cannot be told apart, and the recording that would."""
-        if self.judged.verdict != "inconclusive":
+        judged = self.judged
+        unsure = judged.named if judged.verdict == "inconclusive" else judged.undecided
+        if not unsure:
             return [], None
-        doubtful = min(self.judged.named, key=lambda n: n.chosen.probability)
+        doubtful = min(unsure, key=lambda n: n.chosen.probability)
         every = sorted((doubtful.chosen, *doubtful.rest), key=lambda c: -c.probability)
         p = propose(every[0].members[0].fit, every[min(1, len(every) - 1)].members[0].fit)
         experiment = {
@@ -214,12 +216,10 @@ class Composer:
     def _summary(self, effects, candidates, fit: finding.Fit, psi: dict[str, finding.PsiChange]) -> str:
         if self.judged.verdict == "no_mismatch":
             return self._all_well(psi)
+        each = [
+            f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})" for c in candidates[:3] if c.element
+        ]
         if self.judged.verdict == "inconclusive":
-            each = [
-                f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})"
-                for c in candidates[:3]
-                if c.element
-            ]
             if candidates and candidates[0].probability >= finding.SURE:
                 gone = drop(fit, "the best that was found")
                 return f"Something was left out, and nothing found accounts for it; nearest is {each[0]}. {gone}"
@@ -227,7 +227,8 @@ class Composer:
         gone = drop(fit, "it" if len(effects) == 1 else "them")
         step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()
         told = [t for e in effects for t in (e.statement, mirror(e), _untold(e, alone=len(effects) == 1), other_psi(e))]
-        return " ".join(text for text in [*told, gone, step, left] if text)
+        rest = f"What else was left out the recordings do not tell: {', '.join(each)}." if each else ""
+        return " ".join(text for text in [*told, gone, rest, step, left] if text)
 
     def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:
         count = self.judged.found.num_candidates

@@ -12,7 +12,7 @@ from det2stoc_bayes.mismatch.horizon import reaches
 from det2stoc_bayes.mismatch.kin import truer_pair
 from det2stoc_bayes.mismatch.leading import leading
 from det2stoc_bayes.mismatch.looks import Looks
-from det2stoc_bayes.mismatch.race import NUM_PAIRS, PROMISING, Progress, Ranked, Slot, gain, threshold
+from det2stoc_bayes.mismatch.race import NUM_PAIRS, PROMISING, Ranked, Slot, gain, threshold
 from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without, without_each
 from det2stoc_bayes.mismatch.rivals import with_rivals
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
@@ -38,14 +38,12 @@ class Explanation:
     others_chose: bool = False  # recordings that were not fitted decided between additions
 
 
-def explain(
-    before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None, looks: Looks | None = None
-) -> Explanation:
+def explain(before: Fit, pool: Sequence[PlacedEffect], looks: Looks) -> Explanation:
     """Effects are added while the best still earns its evidence, then each is judged with the others in place.
 
     Where the misfit stays beyond the noise, effects that do not help held-out recordings make room for others.
     """
-    looks, count = looks or Looks(progress), len(pool)
+    count = len(pool)
     first = looks.at(before, pool)
     grown, lean = grow(first, pool, threshold(count), looks)
     for _ in range(MAX_ROUNDS - 1):

@@ -59,6 +59,7 @@ class Judgement:
     held_before: HeldOut
     held_after: HeldOut
     share: float  # independent samples per sample, of the fit that is told
+    undecided: tuple[Named, ...] = ()  # what was found beside the effects named, and cannot be told
 
     def rescored(self, held_before: HeldOut, held_after: HeldOut) -> "Judgement":
         """The same with held-out scores that are more exact, and shares by them where nothing else was scored."""

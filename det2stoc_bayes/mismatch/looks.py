@@ -17,7 +17,7 @@ type Hypothesis = tuple[frozenset[PlacedEffect], tuple[tuple[int, int], bytes]] 
 class Looks:
     """Slots and pairs by the effects and the segments of the fit that they stand beside."""
 
-    def __init__(self, progress: Progress):
+    def __init__(self, progress: Progress = lambda *_: None):
         self.progress = progress
         self.others_chose = False  # recordings that were not fitted decided between additions
         self._slots: dict[Hypothesis, tuple[frozenset[PlacedEffect], Slot]] = {}

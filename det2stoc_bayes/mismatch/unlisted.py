@@ -15,7 +15,7 @@ from det2stoc_bayes.mismatch.explain import Explanation, bare_fit, enough, expla
 from det2stoc_bayes.mismatch.horizon import FAR, extend, reaches
 from det2stoc_bayes.mismatch.kin import truer_pair
 from det2stoc_bayes.mismatch.looks import Looks
-from det2stoc_bayes.mismatch.race import NUM_PAIRS, Progress, Ranked, added, gain, race, threshold, tolerance
+from det2stoc_bayes.mismatch.race import NUM_PAIRS, Ranked, added, gain, race, threshold, tolerance
 from det2stoc_bayes.mismatch.screen import Screened
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 from det2stoc_bayes.mismatch.unlisted_screen import joints, reshaped, screen_unlisted
@@ -38,15 +38,14 @@ class _Curves:
     ranked: list[Ranked]
 
 
-def explain_by_all(before: Fit, pool: Sequence[PlacedEffect], progress: Progress = lambda *_: None) -> Explanation:
+def explain_by_all(before: Fit, pool: Sequence[PlacedEffect], looks: Looks) -> Explanation:
     """The explanation by listed effects, or with a curve where they leave a misfit that it takes away.
 
     Of a lone recording a curve takes up whatever happens on its joint, and no other recording would tell.
     """
     if not joints(pool) or not others_exist(before):
-        return explain(before, pool, progress)
-    looks = Looks(progress)
-    return _at_once(before, pool, looks) or beyond_list(before, explain(before, pool, progress, looks), pool, looks)
+        return explain(before, pool, looks)
+    return _at_once(before, pool, looks) or beyond_list(before, explain(before, pool, looks), pool, looks)
 
 
 def _at_once(before: Fit, pool: Sequence[PlacedEffect], looks: Looks) -> Explanation | None:

@@ -9,7 +9,7 @@ from conftest import make_study
 from sliding import PSI, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
-from det2stoc_bayes.mismatch.contact import run
+from det2stoc_bayes.mismatch.contact import judge, run
 from det2stoc_bayes.mismatch.contact.believed import FINER, MEMBERS, believed, searched
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.differences import STEPS, columns_of, steady
@@ -356,6 +356,34 @@ def test_a_last_addition_that_hardly_explains_anything_is_set_apart(problem, sli
     assert len(said.places) == len(said.explains) == 1 and said.explains[0] > 0.9
     assert corrected(said.after.fit, said.rod.replicas)
     assert [(p.placed.effect.name, share < 0.05) for p, share in said.negligible] == [("quadratic_drag", True)]
+
+
+def test_what_is_sure_is_named_though_something_beside_it_cannot_be_told(problem, sliding, monkeypatch):
+    """A first one brings friction most of the way; two that are told apart by nothing the rest."""
+    followed, recordings = Followed(problem).hearing(sliding), problem.simulator.study.recordings
+    drag, other, third = (
+        next(c for c in candidates(problem) if c.effect.name == n)
+        for n in ("linear_drag", "quadratic_drag", "payload_mass")
+    )
+
+    def pair(effects, share):
+        one = followed.with_problem(problem.with_effects(effects))
+        z = np.append(z_of(problem, share * TRUTH), np.full(sum(e.size for e in effects), 0.01))
+        fit, held = (one.on(part) for part in (recordings[:3], recordings[3:]))
+        return Pair(at(fit, z), at(held, z, at(fit, z).scales))
+
+    base, first, second, rival = (
+        pair(*given) for given in (((), 0.5), ((drag,), 0.75), ((drag, other), 1.0), ((drag, third), 1.0))
+    )
+    rounds = [Round(base, (), (first,), first), Round(first, (), (second, rival), second)]
+    monkeypatch.setattr(judge, "alike", lambda *_: False)
+    said = judged(base, rounds, 0, second, yardstick(second.fit, 0))
+    assert said.verdict == "mismatch" and [e.effect.name for e in said.after.fit.problem.effects] == ["linear_drag"]
+    assert {c.members[0].placed.effect.name for c in said.undecided} == {"quadratic_drag", "payload_mass"}
+    summary = ContactComposer(said, [], 0).compose(1.0).summary
+    assert "What else was left out the recordings do not tell: " in summary
+    alone = judged(first, rounds[1:], 0, second, yardstick(second.fit, 0))
+    assert alone.verdict == "inconclusive" and not alone.undecided
 
 
 def test_scales_of_one_column_are_its_own():

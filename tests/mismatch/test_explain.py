@@ -14,6 +14,7 @@ from det2stoc_bayes.mismatch.crossed import untold
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import by_chance, log_evidence
 from det2stoc_bayes.mismatch.explain import explain
+from det2stoc_bayes.mismatch.looks import Looks
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 from det2stoc_bayes.optimize import fit_many
 
@@ -38,7 +39,7 @@ def pool_of(problem):
 
 def test_one_effect_is_added_and_no_more(drag):
     told = []
-    found = explain(drag, pool_of(drag.problem), lambda *stage: told.append(stage))
+    found = explain(drag, pool_of(drag.problem), Looks(lambda *stage: told.append(stage)))
     assert [e.effect.name for e in found.after.problem.effects] == ["quadratic_damping"]
     assert found.before is drag and len(found.slots) == 1 and found.num_candidates == 5
     assert found.slots[0].ranked[0].gain > 40  # measured: 62 nats
@@ -48,7 +49,7 @@ def test_one_effect_is_added_and_no_more(drag):
 
 def test_where_nothing_is_left_out_nothing_is_added(tmp_path):
     base = fit(spring_problem(tmp_path, noise=1e-3))
-    found = explain(base, pool_of(base.problem))
+    found = explain(base, pool_of(base.problem), Looks())
     assert found.after is base and found.share == 1.0 and len(found.slots) == 1
 
 
@@ -65,7 +66,7 @@ def test_a_later_effect_that_makes_the_first_needless_has_a_slot_of_its_own(drag
         return Slot(base, (), (Ranked(wrong, first, log_evidence(first) - log_evidence(base) + 20),))
 
     monkeypatch.setattr(looks, "look", blinded)
-    found = explain(drag, pool_of(drag.problem))
+    found = explain(drag, pool_of(drag.problem), Looks())
     assert found.after.problem.effects == (truth,)
     assert [r.placed for r in found.slots[0].ranked][0] == truth
 

@@ -7,6 +7,7 @@ from simulated import PENDULUM, fit, noise_table, place, pose, recordings
 
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.explain import explain
+from det2stoc_bayes.mismatch.looks import Looks
 from det2stoc_bayes.mismatch.pairs import pairs
 from det2stoc_bayes.mismatch.screen import screen
 
@@ -42,7 +43,7 @@ def test_the_pair_that_is_there_comes_first(study):
 
 
 def test_both_are_explained(study):
-    found = explain(fit(study), [place(study, n, "pivot", TYPICAL) for n in NAMES])
+    found = explain(fit(study), [place(study, n, "pivot", TYPICAL) for n in NAMES], Looks())
     values = found.after.problem.constrained(found.after.point.z[None])
     assert len(found.after.problem.effects) == 2 and found.after.noise_inflation < 1.2
     assert float(values["coulomb_friction[pivot].force"][0]) == pytest.approx(0.02, rel=0.1)

@@ -72,7 +72,7 @@ def test_the_variable_is_told(tmp_path, variable):
 
 def test_a_curve_that_listed_effects_leave_is_found(tmp_path):
     base = fit(spring_problem(tmp_path, push=pushed(LAWS["position"]), noise=1e-3))
-    found = explain_by_all(base, pool_of(base.problem))
+    found = explain_by_all(base, pool_of(base.problem), Looks())
     (placed,) = found.after.problem.effects
     assert isinstance(placed.effect, UnlistedForce) and placed.effect.variables == ("position",)
     assert by_chance(found.after)
@@ -87,13 +87,13 @@ def test_a_curve_that_listed_effects_leave_is_found(tmp_path):
 
 def test_a_listed_effect_keeps_its_name(tmp_path):
     base = fit(spring_problem(tmp_path, push=pushed(lambda q, v, t: -0.5 * abs(v) * v), noise=1e-3))
-    found = explain_by_all(base, pool_of(base.problem))
+    found = explain_by_all(base, pool_of(base.problem), Looks())
     assert [e.effect.name for e in found.after.problem.effects] == ["quadratic_damping"]
 
 
 def test_nothing_is_found_where_nothing_is_left_out(tmp_path):
     base = fit(spring_problem(tmp_path, noise=1e-3))
-    assert explain_by_all(base, pool_of(base.problem)).after is base
+    assert explain_by_all(base, pool_of(base.problem), Looks()).after is base
 
 
 def test_curves_beside_a_fit_are_fitted_once(tmp_path, monkeypatch):

@@ -260,3 +260,10 @@ def fit(verdict: str) -> xr.DataTree:
 @pytest.fixture(scope="module")
 def html(verdict: str) -> str:
     return diagnosis_page(make_finding(verdict), make_fit(verdict), study_name="arm")
+
+
+@pytest.fixture(scope="module")
+def half_open() -> str:
+    """The page of a finding that names one effect and cannot tell what else is missing."""
+    told = make_finding("mismatch") | {k: v for k, v in _open_question().items() if k in ("candidates", "experiment")}
+    return diagnosis_page(told, make_fit("mismatch"), study_name="arm")

@@ -107,6 +107,16 @@ def test_the_fixture_is_a_valid_finding(finding) -> None:
     Finding(**finding)
 
 
+def test_what_is_open_beside_what_is_named_is_told(half_open) -> None:
+    page = Page(half_open)
+    words = page.words()
+    told = [
+        words.index(t) for t in ("Dry friction of", "What was left out", "Something else is missing", "payload mass")
+    ]
+    assert told == sorted(told) and "55 %" in words[told[-1] :]
+    assert "What to record next" in words and ("a", "href", "#candidates") in page.attributes
+
+
 def test_each_verdict_says_what_it_must(verdict, html) -> None:
     words = Page(html).words()
     assert [text for text in HEADINGS[verdict] + SAYS[verdict] if text not in words] == []

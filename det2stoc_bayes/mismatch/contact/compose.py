@@ -47,7 +47,7 @@ class ContactComposer:
         said = self.said
         effects = tuple(self._effect(i) for i in range(len(said.places)))
         named = effects if said.verdict == "mismatch" else ()
-        candidates = self._candidates() if said.verdict == "inconclusive" else []
+        candidates = self._candidates()
         fit, psi = self._scores(), self._psi()
         where = by_element(named)
         if named:
@@ -116,8 +116,10 @@ class ContactComposer:
         )
 
     def _candidates(self) -> list[finding.Alternative]:
-        """What could stand in the place that is least certain."""
-        place = min(self.said.places, key=lambda p: p[0].chance)
+        """What could stand in the place that is least certain, or beside what is named."""
+        said = self.said
+        unsure = said.places if said.verdict == "inconclusive" else [said.undecided] if said.undecided else []
+        place = min(unsure, key=lambda p: p[0].chance, default=())
         return sorted((_alternative(c) for c in place), key=lambda a: -a.probability)[:8]
 
     def _experiment(self, candidates: list[finding.Alternative]) -> dict[str, Any] | None:
@@ -161,8 +163,8 @@ class ContactComposer:
         said = self.said
         if said.verdict == "no_mismatch":
             return self._all_well(psi)
+        each = [f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})" for c in candidates[:3]]
         if said.verdict == "inconclusive":
-            each = [f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})" for c in candidates[:3]]
             if said.unexplained >= 0.5:
                 return (
                     f"Something was left out; the nearest in the catalogue ({each[0]}) leaves {said.unexplained:.0%} "
@@ -176,7 +178,8 @@ class ContactComposer:
                 )
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         gone = drop(fit, "it" if len(effects) == 1 else "them")
-        return " ".join(t for t in [*(e.statement for e in effects), gone, self._finer()] if t)
+        rest = f"What else was left out the recordings do not tell: {', '.join(each)}." if each else ""
+        return " ".join(t for t in [*(e.statement for e in effects), gone, rest, self._finer()] if t)
 
     def _finer(self) -> str:
         if self.said.finer == 1:
