@@ -103,13 +103,15 @@ class Magnitudes:
         middle = places[:, b].mean(0) if len(places) else np.zeros(3)
         way = float(np.sqrt(np.mean(np.sum((places[:, b] - middle) ** 2, -1)))) if len(places) else 0.0
         mass = max(float(self.model.body_mass[b]), 1e-9)
+        # What is welded to it moves with it: a load of a light shell may be as heavy as what the shell holds.
+        whole = max(float(self.model.body_mass[self.model.body_weldid == self.model.body_weldid[b]].sum()), mass)
         gravity = float(np.linalg.norm(self.model.opt.gravity))
         return {
-            "force": max(self._rms("body_force", b), mass * max(gravity, 1.0)),
+            "force": max(whole / mass * self._rms("body_force", b), whole * max(gravity, 1.0)),
             "speed": max(self._rms("body_speed", b), 1e-2),
             "spin": max(self._rms("body_spin", b), 1e-1),
             "span": max(float(np.sqrt(self.model.body_inertia[b].sum() / (2 * mass))), 1e-3),
-            "inertia": mass,
+            "inertia": whole,
             "place": tuple(middle.tolist()),
             "way": max(way, 1e-2),
             "density": float(self.model.opt.density),

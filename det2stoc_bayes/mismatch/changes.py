@@ -58,6 +58,14 @@ def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tr
     return of_motion(response, placed, tried)
 
 
+def by_intervals(placed: PlacedEffect) -> bool:
+    """Whether what an effect does to the motion takes a simulation of each interval, as `of_motion` tells it."""
+    effect, plain = placed.effect, "plain" in placed.element.traits
+    if any(effect.uses(name) for name in ("joint_force", "friction", "gravity", "body_force")):
+        return False
+    return not (effect.uses("force_along") and plain) and not (effect.uses("control") and not effect.uses("memory"))
+
+
 def of_motion(
     response: Response, placed: PlacedEffect, tried: Sequence[Values]
 ) -> Float[np.ndarray, "segments values columns"]:

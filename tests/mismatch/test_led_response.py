@@ -1,6 +1,7 @@
 """What is foretold to first order of led simulations, against simulations with the effect on."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from simulated import pose, recordings
 from sliding import PSI, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
-from det2stoc_bayes.mismatch.contact.fit import at
+from det2stoc_bayes.mismatch.contact import screen as screening
+from det2stoc_bayes.mismatch.contact.fit import at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.led_response import LedResponse, foretells
 from det2stoc_bayes.problem import make_problem
@@ -82,6 +84,48 @@ def test_where_a_puck_slides_it_is_nearly_so(tmp_path):
     found = LedResponse(fit).lessened(placed, [dict(values) for values in trial.columns]).ravel()
     assert found @ expected > 0.9 * np.linalg.norm(found) * np.linalg.norm(expected)
     assert np.linalg.norm(found) == pytest.approx(np.linalg.norm(expected), rel=0.3)
+
+
+PUSHED = """<mujoco>
+  <option timestep="0.002" integrator="implicitfast" cone="elliptic"/>
+  <worldbody>
+    <geom name="table" type="plane" size="5 5 0.1" friction="0.3 0.005 0.0001"/>
+    <body name="finger" pos="-0.08 0 0.05">
+      <joint name="push" axis="1 0 0" type="slide"/>
+      <geom name="tip" type="sphere" size="0.02" mass="0.1" friction="0.3 0.005 0.0001"/>
+    </body>
+    <body name="crate" pos="0 0 0.05" simple="false">
+      <freejoint name="slide"/>
+      <geom name="hull" type="box" size="0.05 0.08 0.05" mass="0.5" friction="0.3 0.005 0.0001"/>
+    </body>
+  </worldbody>
+  <actuator><velocity name="drive" joint="push" kv="50"/></actuator>
+</mujoco>
+"""
+
+
+def test_what_moves_a_weight_in_contact_promises_what_simulations_do(tmp_path, monkeypatch):
+    """Small trials end within a contact's kink: measured: 0.74 of what simulations promise, 0.01 by
+    the smallest alone."""
+
+    def change(model):
+        model.body_sameframe[2] = 0
+        model.body_ipos[2] = 0.0, 0.01, 0.0
+
+    starts = [([0, 0, y, 0.05, 1, 0, 0, 0], [0] * 7) for y in (0.0, 0.01, -0.01, 0.02)]
+    commands = [np.full((41, 1), v) for v in (0.2, 0.3, 0.25, 0.2)]
+    made = recordings(PUSHED, starts, 10 * np.arange(41), [5e-4] * 8 + [5e-3] * 7, change=change, ctrl=commands)
+    study = make_study(tmp_path / "study", PUSHED, PSI.replace("1e-2", "5e-3"), made)
+    problem = make_problem(Simulator(study, num_threads=1))
+    fit = fit_followed(Followed(problem, 12.0), np.zeros(1))
+    placed = next(p for p in candidates(problem) if p.effect.name == "com_offset" and p.element.name == "crate")
+    led, tell = LedResponse(fit), partial(screening._simulated, fit)
+    fit.prepare()
+    simulated = max(p.gain for p in screening._judged(fit, tell, placed))
+    foretold = max(p.gain for p in screening._foretold(fit, led, placed))
+    monkeypatch.setattr(screening, "SIZES", (1.0,))
+    smallest = max(p.gain for p in screening._foretold(fit, led, placed))
+    assert simulated > 100 and foretold > 0.5 * simulated > 20 * smallest
 
 
 def test_of_a_recording_that_diverges_nothing_is_foretold(flying):

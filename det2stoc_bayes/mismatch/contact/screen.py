@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from det2stoc_bayes.mismatch.changes import Values, by_intervals
 from det2stoc_bayes.mismatch.contact.differences import steady
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import FARTHEST
@@ -19,6 +21,9 @@ SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is sm
 SOME = 3  # one of so many recordings is looked at where it takes simulations, and has its say as often
 KEPT = 2  # trials of an effect that are kept
 MOST_HELD = 2_000_000  # numbers of what trials change that are held at once
+
+
+type Tell = Callable[[PlacedEffect, Sequence[Values]], Float[np.ndarray, "blocks samples columns values"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +53,7 @@ def screen(
         if foretells(placed):
             found = _foretold(fit, led, placed)
         else:
-            found = [replace(p, gain=share * p.gain) for p in _judged(few, placed, _sized(few, placed))]
+            found = [replace(p, gain=share * p.gain) for p in _judged(few, partial(_simulated, few), placed)]
         found = sorted([*_bordered(fit, placed), *found], key=lambda p: -p.gain)
         return replace(found[0], others=tuple(found[1:])) if found else None
 
@@ -80,41 +85,36 @@ def some(fit: ContactFit) -> ContactFit:
 
 
 def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[Promise]:
-    """What trials promise to first order; best first."""
-    out = []
+    """What trials promise to first order; best first.
+
+    What an effect of the model's own constants does within an interval is simulated, and has a size as well.
+    """
     room = max(MOST_HELD // led.held, 1)
-    for trials in _together(list(placed.effect.trials(placed.typical)), room):
-        columns = led.lessened(placed, [dict(values) for t in trials for values in t.columns])
-        ends = np.cumsum([len(t.columns) for t in trials])[:-1]
-        for trial, own in zip(trials, np.split(columns, ends, axis=-1), strict=True):
-            out.append(_promised(fit, placed, trial, own, 1.0))
+    if by_intervals(placed):
+        return _judged(fit, led.lessened, placed, room)
+    trials = [(t, 1.0) for t in placed.effect.trials(placed.typical)]
+    changes = _changes(led.lessened, placed, trials, room)
+    out = [_promised(fit, placed, t, own, 1.0) for (t, _), own in zip(trials, changes, strict=True)]
     return sorted(out, key=lambda p: -p.gain)[:KEPT]
 
 
-def _together(trials: Sequence[Trial], room: int) -> Iterator[Sequence[Trial]]:
-    """As many trials at once as there is room for their columns; one at least."""
-    while trials:
-        count = max(room // max(len(t.columns) for t in trials), 1)
-        yield trials[:count]
-        trials = trials[count:]
-
-
-def _sized(fit: ContactFit, placed: PlacedEffect) -> list[tuple[Trial, float]]:
+def _sized(fit: ContactFit, tell: Tell, placed: PlacedEffect, room: int) -> list[tuple[Trial, float]]:
     """The trials that promise most by differences to one side, each by its best size; of full size they stay so."""
     trials = list(placed.effect.trials(placed.typical))
     each = [SIZES if t.sd > 1 else (1.0,) for t in trials]
     sized = [(t, size) for t, mine in zip(trials, each, strict=True) for size in mine]
-    changes = _changes(fit, placed, sized)
+    changes = _changes(tell, placed, sized, room)
     gains = iter([_promised(fit, placed, t, up, size).gain for (t, size), up in zip(sized, changes, strict=True)])
     best = [max((next(gains), size) for size in mine) for mine in each]
     order = sorted(range(len(trials)), key=lambda k: -best[k][0])
     return [(trials[k], best[k][1]) for k in order][:KEPT]
 
 
-def _judged(fit: ContactFit, placed: PlacedEffect, sized: Sequence[tuple[Trial, float]]) -> list[Promise]:
-    """What trials promise by differences to both sides; best first."""
+def _judged(fit: ContactFit, tell: Tell, placed: PlacedEffect, room: int = MOST_HELD) -> list[Promise]:
+    """What the best trials promise by differences to both sides; best first."""
+    sized = _sized(fit, tell, placed, room)
     other = [(t, s * (2.0 if _wall(placed, t) else -1.0)) for t, s in sized]
-    changes = _changes(fit, placed, [*sized, *other])
+    changes = list(_changes(tell, placed, [*sized, *other], room))
     out = []
     for (trial, size), up, away in zip(sized, changes, changes[len(sized) :], strict=False):
         if trial.sd > 1:
@@ -129,17 +129,26 @@ def _wall(placed: PlacedEffect, trial: Trial) -> bool:
 
 
 def _changes(
-    fit: ContactFit, placed: PlacedEffect, sized: Sequence[tuple[Trial, float]]
-) -> list[Float[np.ndarray, "blocks samples columns size"]]:
-    """By how much each trial's columns, so many times as large, lessen the errors."""
-    values = [_enlarged(placed, column, size) for trial, size in sized for column in trial.columns]
+    tell: Tell, placed: PlacedEffect, sized: Sequence[tuple[Trial, float]], room: int
+) -> Iterator[Float[np.ndarray, "blocks samples columns size"]]:
+    """By how much each trial's columns, so many times as large, lessen the errors; so many columns are told at once."""
+    while sized:
+        some = sized[: max(room // max(len(t.columns) for t, _ in sized), 1)]
+        sized = sized[len(some) :]
+        moved = tell(placed, [_enlarged(placed, column, size) for trial, size in some for column in trial.columns])
+        ends = np.cumsum([len(trial.columns) for trial, _ in some])
+        yield from np.split(moved, ends[:-1], axis=-1)
+
+
+def _simulated(
+    fit: ContactFit, placed: PlacedEffect, tried: Sequence[Values]
+) -> Float[np.ndarray, "blocks samples columns values"]:
+    """By how much an effect of each of these parameter values lessens the errors."""
     plain = fit.as_believed
     with np.errstate(all="ignore"):
-        errors = plain.followed.errors_with(fit.z, placed, values)
+        errors = plain.followed.errors_with(fit.z, placed, tried)
         stays = np.maximum(np.abs(plain.errors), np.abs(errors)) < FARTHEST  # a simulation that diverges tells nothing
-        moved = np.where(stays, plain.errors - errors, 0.0)
-    ends = np.cumsum([len(trial.columns) for trial, _ in sized])
-    return [np.moveaxis(part, 0, -1) for part in np.split(moved, ends[:-1])]
+        return np.moveaxis(np.where(stays, plain.errors - errors, 0.0), 0, -1)
 
 
 def _promised(fit: ContactFit, placed: PlacedEffect, trial: Trial, columns: np.ndarray, factor: float) -> Promise:
