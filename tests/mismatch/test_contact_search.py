@@ -170,17 +170,17 @@ def test_columns_have_the_size_that_promises_most(fit):
     """Of what is simulated all sizes are tried; a trial of full size stays as it is."""
     placed = named(candidates(fit.problem, elements_of(fit)), "contact_stiffness")
     trials = list(placed.effect.trials(placed.typical))
-    tell, room = partial(screening._simulated, fit), screening.MOST_HELD
+    tell = partial(screening._simulated, fit)
     gains = {}
     for k, trial in enumerate(trials):
         for size in screening.SIZES if trial.sd > 1 else (1.0,):
-            (change,) = screening._changes(tell, placed, [(trial, size)], room)
+            (change,) = screening._changes(tell, placed, [(trial, size)])
             gains[k, size] = screening._promised(fit, placed, trial, change, size).gain
     best, size = max(gains, key=lambda key: gains[key])
-    kept = screening._sized(fit, tell, placed, room)
+    kept = screening._sized(fit, tell, placed)
     assert kept[0] == (trials[best], size) and len(kept) <= screening.KEPT
     full = PlacedEffect(Whole(), placed.element, placed.typical)
-    assert [size for _, size in screening._sized(fit, tell, full, room)] == [1.0]
+    assert [size for _, size in screening._sized(fit, tell, full)] == [1.0]
 
 
 class Whole(ContactStiffness):

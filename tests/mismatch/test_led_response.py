@@ -1,7 +1,6 @@
 """What is foretold to first order of led simulations, against simulations with the effect on."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -119,11 +118,11 @@ def test_what_moves_a_weight_in_contact_promises_what_simulations_do(tmp_path, m
     problem = make_problem(Simulator(study, num_threads=1))
     fit = fit_followed(Followed(problem, 12.0), np.zeros(1))
     placed = next(p for p in candidates(problem) if p.effect.name == "com_offset" and p.element.name == "crate")
-    led, tell = LedResponse(fit), partial(screening._simulated, fit)
+    led = LedResponse(fit)
     fit.prepare()
-    simulated = max(p.gain for p in screening._judged(fit, tell, placed))
+    simulated = max(p.gain for p in screening._judged(fit, placed))
     foretold = max(p.gain for p in screening._foretold(fit, led, placed))
-    monkeypatch.setattr(screening, "SIZES", (1.0,))
+    monkeypatch.setattr(screening, "WIDE", (1.0,))
     smallest = max(p.gain for p in screening._foretold(fit, led, placed))
     assert simulated > 100 and foretold > 0.5 * simulated > 20 * smallest
 

@@ -18,6 +18,7 @@ from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
 
 SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
+WIDE = (10.0, 100.0)  # times, of what is to first order: small ones end within a contact's kink
 SOME = 3  # one of so many recordings is looked at where it takes simulations, and has its say as often
 KEPT = 2  # trials of an effect that are kept
 MOST_HELD = 2_000_000  # numbers of what trials change that are held at once
@@ -53,7 +54,7 @@ def screen(
         if foretells(placed):
             found = _foretold(fit, led, placed)
         else:
-            found = [replace(p, gain=share * p.gain) for p in _judged(few, partial(_simulated, few), placed)]
+            found = [replace(p, gain=share * p.gain) for p in _judged(few, placed)]
         found = sorted([*_bordered(fit, placed), *found], key=lambda p: -p.gain)
         return replace(found[0], others=tuple(found[1:])) if found else None
 
@@ -85,42 +86,56 @@ def some(fit: ContactFit) -> ContactFit:
 
 
 def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[Promise]:
-    """What trials promise to first order; best first.
-
-    What an effect of the model's own constants does within an interval is simulated, and has a size as well.
-    """
-    room = max(MOST_HELD // led.held, 1)
+    """What trials promise to first order; best first, each by its best size."""
+    trials, room = list(placed.effect.trials(placed.typical)), max(MOST_HELD // led.held, 1)
     if by_intervals(placed):
-        return _judged(fit, led.lessened, placed, room)
-    trials = [(t, 1.0) for t in placed.effect.trials(placed.typical)]
-    changes = _changes(led.lessened, placed, trials, room)
-    out = [_promised(fit, placed, t, own, 1.0) for (t, _), own in zip(trials, changes, strict=True)]
-    return sorted(out, key=lambda p: -p.gain)[:KEPT]
+        sized = [(t, size) for t in trials for size in _sizes(placed, t, WIDE)]
+        each = _to_both_sides(fit, led.lessened, placed, sized, room)
+        of_trial = [[p for p, (t, _) in zip(each, sized, strict=True) if t is trial] for trial in trials]
+        found = [max(mine, key=lambda p: p.gain) for mine in of_trial]
+    else:
+        changes = _changes(led.lessened, placed, [(t, 1.0) for t in trials], room)
+        found = [_promised(fit, placed, t, own, 1.0) for t, own in zip(trials, changes, strict=True)]
+    return sorted(found, key=lambda p: -p.gain)[:KEPT]
 
 
-def _sized(fit: ContactFit, tell: Tell, placed: PlacedEffect, room: int) -> list[tuple[Trial, float]]:
-    """The trials that promise most by differences to one side, each by its best size; of full size they stay so."""
+def _judged(few: ContactFit, placed: PlacedEffect) -> list[Promise]:
+    """What trials promise that are simulated; best first."""
+    tell = partial(_simulated, few)
+    found = _to_both_sides(few, tell, placed, _sized(few, tell, placed))
+    return sorted(found, key=lambda p: -p.gain)
+
+
+def _sizes(placed: PlacedEffect, trial: Trial, sizes: Sequence[float]) -> Sequence[float]:
+    """How many times as large a trial's columns are tried; what is of full size, or absent at no number, stays so."""
+    return sizes if trial.sd > 1 and np.isfinite(placed.effect.parameters[0].absent) else (1.0,)
+
+
+def _sized(fit: ContactFit, tell: Tell, placed: PlacedEffect) -> list[tuple[Trial, float]]:
+    """The trials that promise most by differences to one side, each by its best size."""
     trials = list(placed.effect.trials(placed.typical))
-    each = [SIZES if t.sd > 1 else (1.0,) for t in trials]
+    each = [_sizes(placed, t, SIZES) for t in trials]
     sized = [(t, size) for t, mine in zip(trials, each, strict=True) for size in mine]
-    changes = _changes(tell, placed, sized, room)
+    changes = _changes(tell, placed, sized)
     gains = iter([_promised(fit, placed, t, up, size).gain for (t, size), up in zip(sized, changes, strict=True)])
     best = [max((next(gains), size) for size in mine) for mine in each]
     order = sorted(range(len(trials)), key=lambda k: -best[k][0])
     return [(trials[k], best[k][1]) for k in order][:KEPT]
 
 
-def _judged(fit: ContactFit, tell: Tell, placed: PlacedEffect, room: int = MOST_HELD) -> list[Promise]:
-    """What the best trials promise by differences to both sides; best first."""
-    sized = _sized(fit, tell, placed, room)
-    other = [(t, s * (2.0 if _wall(placed, t) else -1.0)) for t, s in sized]
-    changes = list(_changes(tell, placed, [*sized, *other], room))
-    out = []
-    for (trial, size), up, away in zip(sized, changes, changes[len(sized) :], strict=False):
+def _to_both_sides(
+    fit: ContactFit, tell: Tell, placed: PlacedEffect, sized: Sequence[tuple[Trial, float]], room: int = MOST_HELD
+) -> list[Promise]:
+    """What trials of these sizes promise by differences to both sides; to one where they are of full size."""
+    apart = [(t, s * (2.0 if _wall(placed, t) else -1.0)) for t, s in sized if t.sd > 1]
+    changes = list(_changes(tell, placed, [*sized, *apart], room))
+    other, out = iter(changes[len(sized) :]), []
+    for (trial, size), up in zip(sized, changes, strict=False):
         if trial.sd > 1:
+            away = next(other)
             up = steady(up, away - up if _wall(placed, trial) else -away)
         out.append(_promised(fit, placed, trial, up, size))
-    return sorted(out, key=lambda p: -p.gain)
+    return out
 
 
 def _wall(placed: PlacedEffect, trial: Trial) -> bool:
@@ -129,7 +144,7 @@ def _wall(placed: PlacedEffect, trial: Trial) -> bool:
 
 
 def _changes(
-    tell: Tell, placed: PlacedEffect, sized: Sequence[tuple[Trial, float]], room: int
+    tell: Tell, placed: PlacedEffect, sized: Sequence[tuple[Trial, float]], room: int = MOST_HELD
 ) -> Iterator[Float[np.ndarray, "blocks samples columns size"]]:
     """By how much each trial's columns, so many times as large, lessen the errors; so many columns are told at once."""
     while sized:
