@@ -16,7 +16,7 @@ class EffectScore:
     """How one concealed effect was diagnosed; None where a question does not apply.
 
     `named`: a claim has its name and element, or an accepted equivalent's. `placed`: a claim is on its element.
-    `listed`: it is among the claims or the candidates of an inconclusive diagnosis.
+    `listed`: it is among the claims or the candidates.
     """
 
     truth: str

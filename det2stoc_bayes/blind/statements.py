@@ -53,16 +53,15 @@ class Reliability:
 
 
 def groups(answer: Json, diagnosis: Json) -> list[Group]:
-    """One group for each claim and its alternatives, or one of the candidates of an inconclusive diagnosis."""
+    """One group for each claim and its alternatives, and one of the candidates: of all, or beside what is claimed."""
     truths = [members_of(truth) for truth in answer["effects"]]
-    if diagnosis["verdict"] == "inconclusive":
-        candidates = diagnosis.get("candidates") or []
-        return [_group(candidates, truths)] if candidates else []
     claims, found = diagnosis.get("effects") or [], []
     paired = pairing(answer["effects"], claims)
     for c, claim in enumerate(claims):
         left = [truth for i, truth in enumerate(truths) if paired.get(i) in (None, c)]
         found.append(_group([claim, *(claim.get("alternatives") or [])], left))
+    if candidates := diagnosis.get("candidates") or []:
+        found.append(_group(candidates, [truth for i, truth in enumerate(truths) if paired.get(i) is None]))
     return found
 
 

@@ -15,11 +15,12 @@ from det2stoc_bayes.mismatch.compose import Composer
 from det2stoc_bayes.mismatch.conflict import needless, resolved
 from det2stoc_bayes.mismatch.contact.run import diagnosed, touches
 from det2stoc_bayes.mismatch.credence import weigh
+from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
 from det2stoc_bayes.mismatch.looks import Looks
-from det2stoc_bayes.mismatch.numerics import check_numerics
+from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.replay import replay, states_of
 from det2stoc_bayes.mismatch.undecided import without_undecided
@@ -100,10 +101,16 @@ def diagnose(
         )
     before = resolved(declared) or declared
     progress("fitting the believed model", 1, 1)
-    judged = _judged(before, progress)
-    if before is not declared and judged.found.after.problem.effects and needless(judged.found.after, declared):
-        judged = _judged(declared, progress)
+    numerics, found, pool, looks = _explained(before, progress)
+    if before is not declared and found.after.problem.effects and needless(found.after, declared):
+        before = declared
+        numerics, found, pool, looks = _explained(before, progress)
     progress("scoring held-out recordings", 0, 1)
+
+    def judge_anew(found: Explanation) -> Judgement:
+        return judge(found.before if numerics is None else _believed(found.before, before), found, numerics)
+
+    judged = without_undecided(judge_anew(found), judge_anew, pool, looks)
     places = [list(judged.after.problem.effects).index(n.placed) for n in judged.named]
     when = [c for i in places for c in conditions(judged.after, i)] if judged.verdict == "mismatch" else []
     progress("scoring held-out recordings", 1, 1)
@@ -113,16 +120,11 @@ def diagnose(
     return Diagnosis(composer.compose(time.perf_counter() - began), tree, patch, study)
 
 
-def _judged(before: Fit, progress: Progress) -> Judgement:
-    """What is missing beside a fit of the believed model, at a timestep that converges, as far as that is sure."""
+def _explained(before: Fit, progress: Progress) -> tuple[Numerics | None, Explanation, list[PlacedEffect], Looks]:
+    """What is missing beside a fit of the believed model, at a timestep that converges."""
     pool, looks = candidates(before.problem), Looks(progress)
     numerics = check_numerics(before, float(before.problem.simulator.model.opt.timestep), len(pool))
-    found = explain_by_all(before if numerics is None else numerics.fit, pool, looks)
-
-    def of(found: Explanation) -> Judgement:
-        return judge(found.before if numerics is None else _believed(found.before, before), found, numerics)
-
-    return without_undecided(of(found), of, pool, looks)
+    return numerics, explain_by_all(before if numerics is None else numerics.fit, pool, looks), pool, looks
 
 
 def _believed(corrected: Fit, believed: Fit) -> Fit:

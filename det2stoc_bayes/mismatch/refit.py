@@ -11,7 +11,7 @@ from det2stoc_bayes.mismatch.race import Ranked, tolerance
 from det2stoc_bayes.optimize import Fit, fit_many, summarize
 
 
-def _keep(fit: Fit, effects: Sequence[PlacedEffect]) -> Point:
+def keep(fit: Fit, effects: Sequence[PlacedEffect]) -> Point:
     """A fit's unknowns without those of dropped effects."""
     blocks, begin = {}, fit.problem.num_psi
     for e in fit.problem.effects:
@@ -37,7 +37,7 @@ def without_each(fit: Fit, dropped: Sequence[PlacedEffect]) -> list[Fit | None]:
 
 
 def _refits(fit: Fit, choices: Sequence[Sequence[PlacedEffect]]) -> list[Fit | None]:
-    points = [(fit.problem.with_effects(effects), _keep(fit, effects)) for effects in choices]
+    points = [(fit.problem.with_effects(effects), keep(fit, effects)) for effects in choices]
     return fit_many(points, tolerance=tolerance(fit)) if points else []
 
 
@@ -51,9 +51,9 @@ def swap(fit: Fit, i: int, other: Ranked) -> Fit:
         return other.fit
     if here.extent == there.extent and {*effects[:i], other.placed, *effects[i + 1 :]} == {*other.fit.problem.effects}:
         effects[i] = other.placed
-        point = _keep(other.fit, effects)
+        point = keep(other.fit, effects)
         return fit_many([(fit.problem.with_effects(effects), point)], tolerance=tolerance(fit))[0] or fit
-    kept = _keep(fit, [e for k, e in enumerate(effects) if k != i])
+    kept = keep(fit, [e for k, e in enumerate(effects) if k != i])
     cut_at = fit.problem.num_psi + sum(e.size for e in effects[:i])
     own = other.fit.point.z[other.fit.problem.size - other.placed.size :]
     effects[i] = other.placed

@@ -1,36 +1,55 @@
-"""Several effects of which some are sure and some are not: the sure ones are named, the rest stays unexplained."""
+"""Several effects of which one cannot be told: the others are named if they are the same with it and without it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+from jaxtyping import Float
+
 from det2stoc_bayes.mismatch.crossed import misses
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import effective_share
+from det2stoc_bayes.mismatch.evidence import effective_share, widened
 from det2stoc_bayes.mismatch.explain import Explanation, judged
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.judgement import Judgement
 from det2stoc_bayes.mismatch.looks import Looks
-from det2stoc_bayes.mismatch.refit import refit
+from det2stoc_bayes.mismatch.refit import keep, refit
+
+APART = 2.0  # sds by which what is told may be another beside the effect that is not
 
 
 def without_undecided(
-    said: Judgement, again: Callable[[Explanation], Judgement], pool: Sequence[PlacedEffect], looks: Looks
+    said: Judgement, judge_anew: Callable[[Explanation], Judgement], pool: Sequence[PlacedEffect], looks: Looks
 ) -> Judgement:
-    """The judgement of the effects that are sure, where others beside them are not; as it is where that names none.
+    """The judgement of the effects that are sure, where one beside them is not; as it is where that says anything else.
 
-    They are judged `again` without the others: beside these alone they may have been sure.
+    They are judged anew without it, for beside it alone they may have been sure. Where they, or psi, take up what it
+    did, their sizes are not known.
     """
     unsure = tuple(n for n in said.named if n.chosen.probability < SURE)
-    if said.verdict != "inconclusive" or not unsure or len(unsure) == len(said.named):
+    sure = [n for n in said.named if n not in unsure]
+    if said.verdict != "inconclusive" or len(unsure) != 1 or not sure:
         return said
-    found = said.found
-    sure = [not any(n.chosen is c for n in unsure for c in place) for place in said.places]
-    kept = [e for e, stays in zip(found.after.problem.effects, sure, strict=True) if stays]
-    fewer = refit(found.after, kept)
+    full = said.found.after
+    stays = [any(n.chosen is c for n in sure for c in place) for place in said.places]
+    kept = [e for e, stay in zip(full.problem.effects, stays, strict=True) if stay]
+    fewer = refit(full, kept)
     if fewer is None:
         return said
-    whole = list(dict.fromkeys([*pool, *(r.placed for slot in found.slots for r in slot.ranked)]))
-    after, slots = judged(fewer, {}, whole, looks)
+    whole = list(dict.fromkeys([*pool, *(r.placed for slot in said.found.slots for r in slot.ranked)]))
+    after, slots = judged(fewer, {kept[0]: said.found.before} if len(kept) == 1 else {}, whole, looks)
     others = looks.others_chose or misses(after)
-    rest = again(replace(found, after=after, slots=slots, share=effective_share(after), others_chose=others))
-    return replace(rest, undecided=unsure) if rest.verdict == "mismatch" else said
+    share = effective_share(after)
+    alone = judge_anew(replace(said.found, after=after, slots=slots, share=share, others_chose=others))
+    if alone.verdict != "mismatch" or set(after.problem.effects) != set(kept):
+        return said
+    if not unmoved(after.point.z, widened(after, share), keep(full, after.problem.effects).z):
+        return said
+    return replace(alone, undecided=unsure, negligible=(*said.negligible, *alone.negligible))
+
+
+def unmoved(
+    z: Float[np.ndarray, " size"], covariance: Float[np.ndarray, "size size"], other: Float[np.ndarray, " size"]
+) -> bool:
+    """Whether unknowns that are told hold other values of them within APART sds, each of them."""
+    return bool((np.abs(z - other) <= APART * np.sqrt(np.diag(covariance))).all())

@@ -224,6 +224,8 @@ def test_probabilities_are_of_what_excludes_one_another():
     unsure = {"verdict": "inconclusive", "candidates": [DRAG | {"probability": 0.7}, none]}
     assert groups(ANSWER, unsure) == [Group((0.7, 0.3), 0)] and groups(CONTROL, unsure) == [Group((0.3, 0.7), 0)]
     assert groups(CONTROL, {"verdict": "no_mismatch"}) == []
+    beside = claim(right) | {"candidates": [PUSHED | {"probability": 0.6}, DRAG | {"probability": 0.4}]}
+    assert groups(TWO, beside) == [Group((0.8, 0.1), 0), Group((0.6, 0.4), 0)]
 
 
 def found_as_stated(random, count):

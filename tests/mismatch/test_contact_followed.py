@@ -379,11 +379,11 @@ def test_what_is_sure_is_named_though_something_beside_it_cannot_be_told(problem
     monkeypatch.setattr(judge, "alike", lambda *_: False)
     said = judged(base, rounds, 0, second, yardstick(second.fit, 0))
     assert said.verdict == "mismatch" and [e.effect.name for e in said.after.fit.problem.effects] == ["linear_drag"]
-    assert {c.members[0].placed.effect.name for c in said.undecided} == {"quadratic_drag", "payload_mass"}
+    assert {c.members[0].placed.effect.name for c in said.open_place} == {"quadratic_drag", "payload_mass"}
     summary = ContactComposer(said, [], 0).compose(1.0).summary
     assert "What else was left out the recordings do not tell: " in summary
     alone = judged(first, rounds[1:], 0, second, yardstick(second.fit, 0))
-    assert alone.verdict == "inconclusive" and not alone.undecided
+    assert alone.verdict == "inconclusive" and not alone.open_place
 
 
 def test_scales_of_one_column_are_its_own():

@@ -118,7 +118,7 @@ class ContactComposer:
     def _candidates(self) -> list[finding.Alternative]:
         """What could stand in the place that is least certain, or beside what is named."""
         said = self.said
-        unsure = said.places if said.verdict == "inconclusive" else [said.undecided] if said.undecided else []
+        unsure = said.places if said.verdict == "inconclusive" else [said.open_place] if said.open_place else []
         place = min(unsure, key=lambda p: p[0].chance, default=())
         return sorted((_alternative(c) for c in place), key=lambda a: -a.probability)[:8]
 

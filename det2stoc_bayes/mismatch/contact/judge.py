@@ -15,6 +15,7 @@ from det2stoc_bayes.mismatch.contact.top import topped
 from det2stoc_bayes.mismatch.contact.yardstick import Yardstick, yardstick
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
+from det2stoc_bayes.mismatch.undecided import unmoved
 
 MOST_LEFT = 0.5  # of the excess error that a named effect may leave unexplained
 
@@ -41,7 +42,7 @@ class Verdict:
     rod: Yardstick
     rounds: tuple[Round, ...]
     negligible: tuple[tuple[Pair, float], ...] = ()
-    undecided: tuple[Class, ...] = ()  # what could stand beside the effects named, none of it surely
+    open_place: tuple[Class, ...] = ()  # what could stand beside the effects named, none of it surely
 
     @property
     def shown(self) -> Pair:
@@ -85,8 +86,9 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     verdict = "mismatch" if sure else "inconclusive"
     if len(taken) > 1 and places[-1][0].chance < SURE <= min(p[0].chance for p in places[:-1]):
         others = _without_last(before, rounds, taken, seed)
-        if others.verdict == "mismatch":
-            return replace(others, undecided=others.undecided or places[-1])
+        told = others.after.fit
+        if others.verdict == "mismatch" and unmoved(told.z, told.covariance, final.fit.z[: len(told.z)]):
+            return replace(others, open_place=places[-1])
     shown = before if sure else topped_pair(before, seed)
     return Verdict(verdict, shown, after=final, places=places, explains=explains, **common)
 
