@@ -58,12 +58,11 @@ def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tr
     return of_motion(response, placed, tried)
 
 
-def by_intervals(placed: PlacedEffect) -> bool:
-    """Whether what an effect does to the motion takes a simulation of each interval, as `of_motion` tells it."""
+def of_constants(placed: PlacedEffect) -> bool:
+    """Whether an effect is one of the model's constants alone, so that `of_motion` simulates each interval with it."""
     effect, plain = placed.effect, "plain" in placed.element.traits
-    if any(effect.uses(name) for name in ("joint_force", "friction", "gravity", "body_force")):
-        return False
-    return not (effect.uses("force_along") and plain) and not (effect.uses("control") and not effect.uses("memory"))
+    told = ("reading", "joint_force", "friction", "gravity", "body_force", "control")
+    return not any(effect.uses(name) for name in told) and not (effect.uses("force_along") and plain)
 
 
 def of_motion(

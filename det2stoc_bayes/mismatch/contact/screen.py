@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from det2stoc_bayes.mismatch.changes import Values, by_intervals
+from det2stoc_bayes.mismatch.changes import Values, of_constants
 from det2stoc_bayes.mismatch.contact.differences import steady
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import FARTHEST
@@ -88,7 +88,7 @@ def some(fit: ContactFit) -> ContactFit:
 def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[Promise]:
     """What trials promise to first order; best first, each by its best size."""
     trials, room = list(placed.effect.trials(placed.typical)), max(MOST_HELD // led.held, 1)
-    if by_intervals(placed):
+    if of_constants(placed):
         sized = [(t, size) for t in trials for size in _sizes(placed, t, WIDE)]
         each = _to_both_sides(fit, led.lessened, placed, sized, room)
         of_trial = [[p for p, (t, _) in zip(each, sized, strict=True) if t is trial] for trial in trials]
