@@ -26,7 +26,9 @@ from det2stoc_bayes.mismatch.statements import (
     drop,
     element,
     finer_step,
+    likeliest,
     mirror,
+    open_beside,
     parameters,
     psi_moments,
     spanning,
@@ -216,10 +218,8 @@ class Composer:
     def _summary(self, effects, candidates, fit: finding.Fit, psi: dict[str, finding.PsiChange]) -> str:
         if self.judged.verdict == "no_mismatch":
             return self._all_well(psi)
-        each = [
-            f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})" for c in candidates[:3] if c.element
-        ]
         if self.judged.verdict == "inconclusive":
+            each = likeliest(candidates)
             if candidates and candidates[0].probability >= finding.SURE:
                 gone = drop(fit, "the best that was found")
                 return f"Something was left out, and nothing found accounts for it; nearest is {each[0]}. {gone}"
@@ -227,8 +227,7 @@ class Composer:
         gone = drop(fit, "it" if len(effects) == 1 else "them")
         step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()
         told = [t for e in effects for t in (e.statement, mirror(e), _untold(e, alone=len(effects) == 1), other_psi(e))]
-        rest = f"What else was left out the recordings do not tell: {', '.join(each)}." if each else ""
-        return " ".join(text for text in [*told, gone, rest, step, left] if text)
+        return " ".join(text for text in [*told, gone, open_beside(candidates), step, left] if text)
 
     def _all_well(self, psi: dict[str, finding.PsiChange]) -> str:
         count = self.judged.found.num_candidates

@@ -155,6 +155,18 @@ def alternatives(rest: Sequence[Class], limit: int = 5) -> list[finding.Alternat
     ]
 
 
+def likeliest(candidates: Sequence[finding.Alternative], limit: int = 3) -> list[str]:
+    """The first candidates in words."""
+    some = candidates[:limit]
+    return [f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})" for c in some if c.element]
+
+
+def open_beside(candidates: Sequence[finding.Alternative]) -> str:
+    """What may be missing beside what is named; empty where nothing is open."""
+    each = ", ".join(likeliest(candidates))
+    return f"What else was left out the recordings do not tell: {each}." if each else ""
+
+
 def drop(fit: finding.Fit, them: str) -> str:
     """By how much columns' held-out errors fall, where one rises or a rollout diverges; empty where nothing changes."""
     before, after = fit.rollout_rmse_before, fit.rollout_rmse_after

@@ -34,16 +34,14 @@ def without_undecided(
     stays = [any(n.chosen is c for n in sure for c in place) for place in said.places]
     kept = [e for e, stay in zip(full.problem.effects, stays, strict=True) if stay]
     fewer = refit(full, kept)
-    if fewer is None:
+    if fewer is None or not unmoved(fewer.point.z, widened(fewer, effective_share(fewer)), keep(full, kept).z):
         return said
     whole = list(dict.fromkeys([*pool, *(r.placed for slot in said.found.slots for r in slot.ranked)]))
     after, slots = judged(fewer, {kept[0]: said.found.before} if len(kept) == 1 else {}, whole, looks)
     others = looks.others_chose or misses(after)
-    share = effective_share(after)
-    alone = judge_anew(replace(said.found, after=after, slots=slots, share=share, others_chose=others))
+    found = replace(said.found, after=after, slots=slots, share=effective_share(after), others_chose=others)
+    alone = judge_anew(found)
     if alone.verdict != "mismatch" or set(after.problem.effects) != set(kept):
-        return said
-    if not unmoved(after.point.z, widened(after, share), keep(full, after.problem.effects).z):
         return said
     return replace(alone, undecided=unsure, negligible=(*said.negligible, *alone.negligible))
 

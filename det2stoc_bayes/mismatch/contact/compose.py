@@ -16,7 +16,15 @@ from det2stoc_bayes.mismatch.contact.places import shares
 from det2stoc_bayes.mismatch.contact.rollouts import rollouts
 from det2stoc_bayes.mismatch.replay import replay
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element
-from det2stoc_bayes.mismatch.statements import drop, element, parameters, psi_moments, statement
+from det2stoc_bayes.mismatch.statements import (
+    drop,
+    element,
+    likeliest,
+    open_beside,
+    parameters,
+    psi_moments,
+    statement,
+)
 from det2stoc_bayes.mismatch.where import Condition
 
 NUM_DRAWS = 1000
@@ -163,8 +171,8 @@ class ContactComposer:
         said = self.said
         if said.verdict == "no_mismatch":
             return self._all_well(psi)
-        each = [f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})" for c in candidates[:3]]
         if said.verdict == "inconclusive":
+            each = likeliest(candidates)
             if said.unexplained >= 0.5:
                 return (
                     f"Something was left out; the nearest in the catalogue ({each[0]}) leaves {said.unexplained:.0%} "
@@ -178,8 +186,8 @@ class ContactComposer:
                 )
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         gone = drop(fit, "it" if len(effects) == 1 else "them")
-        rest = f"What else was left out the recordings do not tell: {', '.join(each)}." if each else ""
-        return " ".join(t for t in [*(e.statement for e in effects), gone, rest, self._finer()] if t)
+        told = [*(e.statement for e in effects), gone, open_beside(candidates), self._finer()]
+        return " ".join(t for t in told if t)
 
     def _finer(self) -> str:
         if self.said.finer == 1:

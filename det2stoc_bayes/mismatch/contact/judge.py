@@ -69,7 +69,7 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     explains = tuple(float(np.clip(-s / max(excess, 1e-9), -1.0, 1.0)) for s in np.diff([start, *rest]))
     last = taken[-1].taken if taken else None
     if last is not None and len(taken) > 1 and explains[-1] < NEGLIGIBLE:  # the others stand without it
-        others = _without_last(before, rounds, taken, seed)
+        others = _without(before, rounds, taken[-1], seed)
         return replace(others, negligible=(*others.negligible, (last, max(explains[-1], 0.0))))
     left = rod.left(start, rod.of(final))
     random = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     sure = all(p[0].chance >= SURE for p in places) and left < MOST_LEFT and not strain
     verdict = "mismatch" if sure else "inconclusive"
     if len(taken) > 1 and places[-1][0].chance < SURE <= min(p[0].chance for p in places[:-1]):
-        others = _without_last(before, rounds, taken, seed)
+        others = _without(before, rounds, taken[-1], seed)
         told = others.after.fit
         if others.verdict == "mismatch" and unmoved(told.z, told.covariance, final.fit.z[: len(told.z)]):
             return replace(others, open_place=places[-1])
@@ -93,11 +93,10 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     return Verdict(verdict, shown, after=final, places=places, explains=explains, **common)
 
 
-def _without_last(before: Pair, rounds: list[Round], taken: list[Round], seed: int) -> Verdict:
+def _without(before: Pair, rounds: list[Round], last: Round, seed: int) -> Verdict:
     """The verdict of what was taken before the last addition."""
-    shorter = topped_pair(taken[-1].base, seed)
-    fewer = [r for r in rounds if r is not taken[-1]]
-    return judged(before, fewer, seed, shorter, yardstick(shorter.fit, seed))
+    shorter = topped_pair(last.base, seed)
+    return judged(before, [r for r in rounds if r is not last], seed, shorter, yardstick(shorter.fit, seed))
 
 
 def topped_pair(pair: Pair, seed: int) -> Pair:
