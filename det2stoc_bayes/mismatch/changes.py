@@ -61,7 +61,7 @@ def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tr
 def of_constants(placed: PlacedEffect) -> bool:
     """Whether an effect is one of the model's constants alone, so that `of_motion` simulates each interval with it."""
     effect, plain = placed.effect, "plain" in placed.element.traits
-    told = ("reading", "joint_force", "friction", "gravity", "body_force", "control")
+    told = ("reading", "joint_force", "friction", "gravity", "swell", "body_force", "control")
     return not any(effect.uses(name) for name in told) and not (effect.uses("force_along") and plain)
 
 
@@ -86,6 +86,9 @@ def of_motion(
     if effect.uses("gravity"):
         felt = [effect.gravity(p, response.moments(), np).mean(2) for p in given]
         return response.propagate(*response.pulled(np.stack(felt, -1)))
+    if effect.uses("swell"):
+        parts = [effect.swell(p, response.moments(), np).mean(2) for p in given]
+        return response.propagate(*response.swelled(placed, np.stack(parts, -1)))
     if effect.uses("body_force"):
         return response.propagate(*response.pushed(effect, at, given))
     if effect.uses("control") and not effect.uses("memory"):  # of this sample's command alone

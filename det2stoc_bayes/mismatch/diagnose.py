@@ -101,16 +101,17 @@ def diagnose(
         )
     before = resolved(declared) or declared
     progress("fitting the believed model", 1, 1)
-    numerics, found, pool, looks = _explained(before, progress)
-    if before is not declared and found.after.problem.effects and needless(found.after, declared):
+    search = _search(before, progress)
+    if before is not declared and search.effects and needless(search.found.after, declared):
         before = declared
-        numerics, found, pool, looks = _explained(before, progress)
+        search = _search(before, progress)
     progress("scoring held-out recordings", 0, 1)
 
     def judge_anew(found: Explanation) -> Judgement:
-        return judge(found.before if numerics is None else _believed(found.before, before), found, numerics)
+        plain = found.before if search.numerics is None else _believed(found.before, before)
+        return judge(plain, found, search.numerics)
 
-    judged = without_undecided(judge_anew(found), judge_anew, pool, looks)
+    judged = without_undecided(judge_anew(search.found), judge_anew, search.pool, search.looks)
     places = [list(judged.after.problem.effects).index(n.placed) for n in judged.named]
     when = [c for i in places for c in conditions(judged.after, i)] if judged.verdict == "mismatch" else []
     progress("scoring held-out recordings", 1, 1)
@@ -120,11 +121,27 @@ def diagnose(
     return Diagnosis(composer.compose(time.perf_counter() - began), tree, patch, study)
 
 
-def _explained(before: Fit, progress: Progress) -> tuple[Numerics | None, Explanation, list[PlacedEffect], Looks]:
-    """What is missing beside a fit of the believed model, at a timestep that converges."""
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What is missing beside a fit of the believed model, among which candidates, and how long that was looked for."""
+
+    numerics: Numerics | None  # where the believed timestep has not converged
+    found: Explanation
+    pool: list[PlacedEffect]
+    looks: Looks
+
+    @property
+    def effects(self) -> tuple[PlacedEffect, ...]:
+        """The effects that explain."""
+        return self.found.after.problem.effects
+
+
+def _search(before: Fit, progress: Progress) -> _Search:
+    """By all candidates, at a timestep that converges."""
     pool, looks = candidates(before.problem), Looks(progress)
     numerics = check_numerics(before, float(before.problem.simulator.model.opt.timestep), len(pool))
-    return numerics, explain_by_all(before if numerics is None else numerics.fit, pool, looks), pool, looks
+    found = explain_by_all(before if numerics is None else numerics.fit, pool, looks)
+    return _Search(numerics, found, pool, looks)
 
 
 def _believed(corrected: Fit, believed: Fit) -> Fit:

@@ -20,6 +20,7 @@ from det2stoc_bayes.engines.layout import integrate_positions, position_differen
 from det2stoc_bayes.engines.places import Places, bodies_of, places
 from det2stoc_bayes.linearization import START_STEP, Point
 from det2stoc_bayes.mismatch.effects.base import Drive, Effect, Element, JointState, PlacedEffect, Typical
+from det2stoc_bayes.mismatch.probes import gravity_probe, grown, unit, unit_command
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem, merge_requests
 from det2stoc_bayes.segments import from_pieces
@@ -29,6 +30,7 @@ INSIDE = (np.arange(NUM_INSIDE) + 0.5) / NUM_INSIDE
 COMMAND_STEP = 1e-3  # of a unit of the command: what follows is linear, or too stiff to see
 FRICTION_STEP = 3e-3  # of the typical force: slips wherever the joint moves
 GRAVITY_STEP = 1e-2  # m/s2
+SWELL_STEP = 5e-3  # of the steady wind
 FORCE_STEP = 1e-3  # of the force that would change the speed by its own spread in one interval
 
 
@@ -131,7 +133,7 @@ class Response:
         edges = np.rint((segments.time - segments.time[:, :1]) / self._dt).astype(int)
         whole = np.take_along_axis(total, edges[..., None], 1)
         mean = np.diff(whole, axis=1) / np.maximum(np.diff(edges, axis=1), 1)[..., None]
-        b, d = self._unit_response(("ctrl", at.ctrl), _unit_command(at), COMMAND_STEP)
+        b, d = self._unit_response(("ctrl", at.ctrl), unit_command(at), COMMAND_STEP)
         return b[..., None] * mean[:, :, None], d[..., None] * mean[:, :, None]
 
     @property
@@ -159,7 +161,7 @@ class Response:
     def forced(self, dof: int, forces: Float[np.ndarray, "S K columns"]) -> tuple[np.ndarray, np.ndarray]:
         """d and e of generalized forces on one degree of freedom, held over each interval."""
         scale = float(self.problem.guess.scale[self.problem.simulator.model.nv + dof])
-        b, d = self._unit_response(("dof", dof), _unit("constant_force", dof), FORCE_STEP * scale)
+        b, d = self._unit_response(("dof", dof), unit("constant_force", dof), FORCE_STEP * scale)
         return b[..., None] * forces[:, :, None], d[..., None] * forces[:, :, None]
 
     def rubbed(
@@ -167,7 +169,7 @@ class Response:
     ) -> tuple[np.ndarray, np.ndarray]:
         """d and e of dry friction on one degree of freedom, of one size over each interval."""
         step = FRICTION_STEP * typical.force
-        b, d = self._unit_response(("friction", dof), _unit("coulomb_friction", dof), step)
+        b, d = self._unit_response(("friction", dof), unit("coulomb_friction", dof), step)
         return b[..., None] * sizes[:, :, None], d[..., None] * sizes[:, :, None]
 
     def pulled(self, acceleration: Float[np.ndarray, "S K 3 columns"]) -> tuple[np.ndarray, np.ndarray]:
@@ -184,6 +186,19 @@ class Response:
         if key not in self._units:
             d, e = self.defects([(gravity_probe(), {"change": GRAVITY_STEP * np.eye(3)[axis]})])
             self._units[key] = d[..., 0] / GRAVITY_STEP, e[..., 0] / GRAVITY_STEP
+        return self._units[key]
+
+    def swelled(self, placed: PlacedEffect, parts: Float[np.ndarray, "S K columns"]) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of a wind that grows by so much of itself, held over each interval."""
+        d, e = self._unit_swell(placed)
+        return d[..., None] * parts[:, :, None], e[..., None] * parts[:, :, None]
+
+    def _unit_swell(self, placed: PlacedEffect) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of a wind that grows by itself, by a small step."""
+        key = ("wind", 0)
+        if key not in self._units:
+            d, e = self.defects([(placed, grown(SWELL_STEP))])
+            self._units[key] = d[..., 0] / SWELL_STEP, e[..., 0] / SWELL_STEP
         return self._units[key]
 
     def moments(self) -> Float[np.ndarray, "S K points"]:
@@ -269,22 +284,3 @@ class Response:
             out[:, k + 1] = self.c[:, k] @ state + e[:, k]
             state = self.a[:, k] @ state + d[:, k]
         return out.reshape(count, -1, d.shape[-1])
-
-
-def _unit(name: str, dof: int) -> PlacedEffect:
-    from det2stoc_bayes.mismatch.effects import CATALOGUE
-
-    return PlacedEffect(CATALOGUE[name], Element("joint", f"dof {dof}", dof=dof, qpos=0), Typical())
-
-
-def _unit_command(at: Element) -> PlacedEffect:
-    from det2stoc_bayes.mismatch.effects import CATALOGUE
-
-    return PlacedEffect(CATALOGUE["actuator_bias"], at, Typical())
-
-
-def gravity_probe() -> PlacedEffect:
-    """A change of gravity's vector."""
-    from det2stoc_bayes.mismatch.effects.base_vibration import GravityChange
-
-    return PlacedEffect(GravityChange(), Element("world", "world"), Typical())

@@ -17,6 +17,7 @@ from det2stoc_bayes.problem import HasProblem, Problem
 NUM_DRAWS = 1000
 INTERVAL = 0.95
 SEEN = 0.005  # change of an error that is told
+LEAST_TOLD = 0.005  # probability of a candidate that is told in words
 
 
 def draws(fit: Fit, share: float, seed: int, num_draws: int = NUM_DRAWS) -> Float[np.ndarray, "draws size"]:
@@ -156,9 +157,12 @@ def alternatives(rest: Sequence[Class], limit: int = 5) -> list[finding.Alternat
 
 
 def likeliest(candidates: Sequence[finding.Alternative], limit: int = 3) -> list[str]:
-    """The first candidates in words."""
-    some = candidates[:limit]
-    return [f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})" for c in some if c.element]
+    """The first candidates in words, but for those of 0 %."""
+    return [
+        f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})"
+        for c in candidates[:limit]
+        if c.element and c.probability >= LEAST_TOLD
+    ]
 
 
 def open_beside(candidates: Sequence[finding.Alternative]) -> str:

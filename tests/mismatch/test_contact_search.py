@@ -255,9 +255,32 @@ def test_what_leads_psi_back_is_no_additions_merit(followed, problem, pool, monk
     search.refined(base, ground.fit, [promise], 2.0, quiet)
     few = screening.some(ground.fit)
     stayed = at(few.followed, base.fit.z).loss
-    (_, first, *_), ((sketch,), last, *_) = held
+    (_, first, *_), ((sketch,), last, *_), ((whole,), all_told, *_) = held
     assert stayed < few.loss - 50 and first < few.loss - 50 and last <= stayed
-    assert last - sketch.loss < 10  # over where it began it gains all that psi does
+    assert all_told == base.fit.loss < ground.fit.loss - 50
+    assert max(last - sketch.loss, all_told - whole.loss) < 10  # over where it began it gains all that psi does
+
+
+def test_who_falls_behind_on_all_recordings_is_not_fitted_to_the_end(followed, problem, pool, monkeypatch):
+    base = pair_of(followed, [z_of(problem, TRUTH)])
+    ended, in_reach = [], search.in_reach
+    finished = search.finished
+    monkeypatch.setattr(search, "finished", lambda fit, *rest: ended.append(fit) or finished(fit, *rest))
+    monkeypatch.setattr(
+        search, "in_reach", lambda fits, bare, part, slack: fits if part < 0.6 else in_reach(fits, bare, part, 0.0)
+    )
+    promises = [
+        screening.Promise(named(pool, "linear_drag"), 100.0, {"coefficient": 0.1}, np.zeros(1)),
+        screening.Promise(named(pool, "gravity_error"), 90.0, {"change": 1e-3}, np.zeros(1)),
+    ]
+    found = search.refined(base, base.fit, promises, 0.0, quiet)
+    assert len(ended) == len(found) == 1
+
+
+def test_a_step_that_gains_next_to_nothing_beside_luck_is_the_last(followed, problem):
+    start = np.array([z_of(problem, 0.6 * TRUTH)])
+    near, whole = (fit_followed(followed, start, settled=nats) for nats in (1e9, 0.1))
+    assert near.loss > whole.loss + 1
 
 
 def test_chance_gains_little_where_nothing_is_missing(followed, problem, pool):

@@ -21,19 +21,20 @@ STARTS = [
     ([0, 0, 2, 0.8, 0.6, 0, 0], [1.0, 0.3, 2.0, 2.0, -1.0, 3.0]),
     ([0, 0, 2, 1, 0, 0, 0], [0.0, 2.0, 1.0, 0, 4, 1]),
 ]
+WINDY = '<option timestep="0.002" integrator="Euler" density="1.2" wind="3 -1 0"/>'
 TRIALS = 3  # of each effect
 LOOSE = {"attraction": 0.3, "rotating_frame": 0.12}  # by a point nearby; as fast as the body turns itself
 
 
 @pytest.fixture(scope="module")
 def flying(tmp_path_factory):
-    """A stone in the air, its states recorded, the second flight shorter and with a value missing."""
-    made = recordings(model_xml(FREE), STARTS, 5 * np.arange(31), [0.001] * 7 + [0.01] * 6)
+    """A stone in a wind, its states recorded, the second flight shorter and with a value missing."""
+    made = recordings(model_xml(FREE, option=WINDY), STARTS, 5 * np.arange(31), [0.001] * 7 + [0.01] * 6)
     time, table = made["run_1"]
     table = {c: v[:-6].copy() for c, v in table.items()}
     table["qpos/float/x"][9] = np.nan
     made["run_1"] = time[:-6], table
-    problem = pose(make_study(tmp_path_factory.mktemp("flights") / "study", model_xml(FREE), NOISE, made))
+    problem = pose(make_study(tmp_path_factory.mktemp("flights") / "study", model_xml(FREE, option=WINDY), NOISE, made))
     fit = at(Followed(problem, 12.0), np.zeros(0))
     return fit, LedResponse(fit), candidates(problem)
 
@@ -62,7 +63,18 @@ def test_in_the_air_it_is_what_simulations_change(flying):
                 looked_at.add(placed.effect.name)
                 assert apart(found, expected) < LOOSE.get(placed.effect.name, 0.06), (placed.label, trial)
     assert {"linear_drag", "magnus_lift", "gravity_tilt", "base_vibration", "com_offset", "inertia_error"} <= looked_at
+    assert {"steady_wind", "periodic_wind"} <= looked_at
     assert {"sensor_bias", "sensor_scale", "sensor_drift"} <= looked_at
+
+
+def test_a_wind_that_swells_costs_no_simulation_a_frequency(flying):
+    fit, led, pool = flying
+    wind = next(p for p in pool if p.effect.name == "periodic_wind")
+    trials, counter = list(wind.effect.trials(wind.typical)), fit.problem.simulator.counter
+    begun = counter.simulations
+    for trial in trials:
+        led.lessened(wind, [dict(values) for values in trial.columns])
+    assert len(trials) > 5 and counter.simulations - begun <= 2 * len(led.pieces)
 
 
 def test_what_contact_makes_or_a_sensor_tells_late_is_not_foretold(flying):

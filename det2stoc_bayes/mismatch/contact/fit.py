@@ -155,11 +155,13 @@ def fit_followed(
     iterations: int = ITERATIONS,
     others: Sequence[np.ndarray] = (),
     like: ContactFit | None = None,
+    settled: float = SETTLED,
 ) -> ContactFit:
     """The most likely unknowns from `z`, or from the best of it and `others`; those `held` stay.
 
     `like` is a fit nearby, perhaps without the last unknowns, whose sensitivities are not found anew. They are
-    found for `iterations` steps, and serve for a second one as well where a step was short.
+    found for `iterations` steps, and serve for a second one as well where a step was short. A step that gains less
+    than `settled` nats is the last.
     """
     z = np.zeros(followed.problem.size) if z is None else np.array(z, float)
     fit = _best(followed, np.stack([z, *others]))
@@ -171,12 +173,12 @@ def fit_followed(
         found = _along(fit, step)
         gain, (columns, sizes) = fit.loss - found.loss, fit.differences
         short = np.abs(found.z - fit.z).max(initial=0.0) < NEAR
-        serves = short and not taught and iterations > 0 and gain >= SETTLED
+        serves = short and not taught and iterations > 0 and gain >= settled
         if gain > 0:
             fit = replace(found, sizes=sizes, known=columns if serves else None)
         elif taught:
             fit = replace(fit, sizes=sizes, known=None)
-        if gain < SETTLED and not taught:
+        if gain < settled and not taught:
             break
         again = fit.known is not None
     return fit

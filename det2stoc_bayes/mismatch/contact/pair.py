@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
+from det2stoc_bayes.mismatch.contact.fit import SETTLED, ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.regions import bordered
 from det2stoc_bayes.mismatch.contact.scales import Scales
@@ -17,6 +17,7 @@ from det2stoc_bayes.mismatch.evidence import log_det
 MEMORIES = (3.0, 6.0, 12.0, 25.0, 50.0, 200.0)  # samples
 MOST_WORSE = 2  # memories
 SKETCH = 3  # iterations of what was screened
+OF_LUCK = 0.1  # of the nats that fits of one hypothesis differ by: a step that gains less is the last
 OWN = (-2.0, -1.0, 0.0, 1.0, 2.0)  # sds of a population at which a recording's own value is looked for
 FAR = 1.5  # prior sds of some psi beyond which what is missing has led it there, and a small step of it does nothing
 
@@ -123,10 +124,16 @@ def sketched(base: ContactFit, promise: Promise, iterations: int = SKETCH) -> Co
     return fit_followed(base.followed.with_problem(more), first, others=others, iterations=iterations, like=base)
 
 
-def finished(sketch: ContactFit, base: ContactFit, held: Followed) -> Pair:
-    """What was sketched on some of a base's recordings, fitted to all of them."""
+def on_all(sketch: ContactFit, base: ContactFit) -> ContactFit:
+    """What was sketched on some of a base's recordings, after a few steps on all of them."""
     followed = base.followed.with_problem(base.problem.with_effects(sketch.problem.effects))
-    return best_bordered(paired(fit_followed(followed, sketch.z, like=sketch), held))
+    return fit_followed(followed, sketch.z, iterations=SKETCH, like=sketch)
+
+
+def finished(fit: ContactFit, held: Followed, luck: float) -> Pair:
+    """What was begun, fitted until steps gain next to nothing beside what is luck."""
+    done = fit_followed(fit.followed, fit.z, like=fit, settled=max(SETTLED, OF_LUCK * luck))
+    return best_bordered(paired(done, held))
 
 
 def best_bordered(pair: Pair) -> Pair:

@@ -14,6 +14,7 @@ from det2stoc_bayes.mismatch.contact.pair import (
     Pair,
     finished,
     nearer,
+    on_all,
     paired,
     remembered,
     remembering_more,
@@ -34,7 +35,7 @@ from det2stoc_bayes.mismatch.shortlist import shortlist
 NUM_SKETCHED = 10  # the most promising candidates, of which some steps are made,
 NUM_REFINED = 5  # and the best of them, which are fitted to the end
 ALSO = 0.3  # of what an effect's best trial promises: what another of them must
-BEGUN, DRAWN = 0.2, 0.4  # of the best's gain: who has less after a first step, or a sketch, goes no further
+BEGUN, DRAWN, FITTED = 0.2, 0.4, 0.6  # of the best's gain: who has less after a first step, a sketch, or one of all
 LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less is not fitted
 MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
 NEAR, LEAST_NEAR = 0.3, 30.0  # share of the best's gain, and nats, behind which none comes near any more
@@ -145,7 +146,7 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], luck: f
     slack = luck * np.sqrt(few.problem.segments.count / base.fit.problem.segments.count)
     alone = fit_followed(few.followed, few.z, iterations=1, like=few)
     stayed = at(few.followed, base.fit.z).loss
-    tell = partial(_each, base.fit, progress=progress, total=2 * len(worth) + NUM_REFINED)
+    tell = partial(_each, base.fit, progress=progress, total=2 * (len(worth) + NUM_REFINED))
     begun = in_reach(tell(lambda p: sketched(few, p, iterations=1), worth, 0), alone.loss, BEGUN, slack)
     sketches = tell(lambda f: fit_followed(f.followed, f.z, iterations=SKETCH - 1, like=f), begun, len(worth))
     alone = fit_followed(few.followed, alone.z, iterations=SKETCH - 1, like=alone)
@@ -154,7 +155,9 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], luck: f
     best = {s.problem.effects[-1]: s for s in reversed(sketches)}
     chosen = sorted(best.values(), key=lambda f: f.loss)[:NUM_REFINED]
     chosen += [s for s in sketches if s.problem.effects == chosen[0].problem.effects and s is not chosen[0]]
-    pairs = tell(lambda f: finished(f, ground, base.held.followed), chosen, 2 * len(worth))
+    whole = tell(lambda f: on_all(f, ground), chosen, 2 * len(worth))
+    whole = in_reach(whole, min(ground.loss, base.fit.loss), FITTED, luck)
+    pairs = tell(lambda f: finished(f, base.held.followed, luck), whole, 2 * len(worth) + NUM_REFINED)
     progress("refining the best", 1, 1)
     return best_of_each(pairs)
 

@@ -15,7 +15,8 @@ from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, losses_at, sds, 
 from det2stoc_bayes.mismatch.contact.regions import free_unknowns
 
 FAR = 2.0  # sds about the fit, at least
-EACH, LEAST = 8, 40  # points for each unknown, and in all
+EACH, LEAST = 8, 40  # points for each unknown, and at least
+ROUGHLY = 0.6  # of these where only the height of bumps is asked for
 ROUNDS = 2
 FARTHEST = 3.0  # sds that a round may lead
 LUCKY = 3.0  # times the bumps: what is told so much worse is not the top
@@ -76,7 +77,7 @@ def widened(fit: ContactFit, z: Float[np.ndarray, " size"]) -> ContactFit:
 def bumps(fit: ContactFit, random: np.random.Generator) -> float:
     """How high the likelihood's bumps about a fit are, nats: by so much fits of one hypothesis may differ."""
     ways = _ways(fit)
-    return _quadratic(fit, ways, FAR, random).bumps if ways.shape[1] else 0.0
+    return _quadratic(fit, ways, FAR, random, ROUGHLY).bumps if ways.shape[1] else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +91,11 @@ class _Quadratic:
 
 
 def _quadratic(
-    fit: ContactFit, ways: Float[np.ndarray, "size free"], far: float, random: np.random.Generator
+    fit: ContactFit, ways: Float[np.ndarray, "size free"], far: float, random: np.random.Generator, part: float = 1.0
 ) -> _Quadratic:
     """Through points so `far` from a fit, where the prior lets them be; no way it is blunter than the prior."""
     count = ways.shape[1]
-    half = far * random.standard_normal((max(EACH * count, LEAST) // 2, count))
+    half = far * random.standard_normal((int(part * max(EACH * count, LEAST)) // 2, count))
     z = within(fit, fit.z + np.concatenate([half, -half]) @ ways.T)
     u = np.linalg.lstsq(ways, (z - fit.z).T, rcond=None)[0].T
     heights = losses_at(fit, z)

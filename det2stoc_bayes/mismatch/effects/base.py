@@ -208,6 +208,10 @@ class Effect:
         """Acceleration (..., 3) that `momentary` adds to gravity; screening takes it for the effect."""
         raise NotImplementedError
 
+    def swell(self, p: Mapping[str, Array], t: Array, xp: Any) -> Array:
+        """Part of the steady wind that `momentary` adds to it; screening takes it for the effect."""
+        raise NotImplementedError
+
     def sample_time(self, p: Mapping[str, Array], t: Array, xp: Any) -> Array:
         """The time whose state a sample stamped t shows."""
         return t

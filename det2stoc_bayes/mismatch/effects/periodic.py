@@ -148,7 +148,10 @@ class PeriodicWind(TimedEffect):
         """A fraction of the steady wind."""
         return 0.5
 
+    def swell(self, p, t, xp):
+        """A sine of time."""
+        return p["amplitude"] * xp.sin(2 * xp.pi * p["frequency"] * t + p["phase"])
+
     def momentary(self, p, fields, s, at, xp):
         """The steady wind times a factor."""
-        swell = 1 + p["amplitude"] * xp.sin(2 * xp.pi * p["frequency"] * s.t + p["phase"])
-        return {"opt.wind": fields["opt.wind"] * swell[..., None]}
+        return {"opt.wind": fields["opt.wind"] * (1 + self.swell(p, s.t, xp))[..., None]}
