@@ -5,16 +5,13 @@ as it always does. The study is diagnosed by a process that sees nothing else. R
 benchmarks/results/yumi_detective.jsonl.
 """
 
-import argparse
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
-from logs import append
-from real import diagnosed
+from detective import FILES, FREE_Q, FREE_V, Case, Law, conceal
 
 from det2stoc_bayes.blind.laws import LAWS
 from det2stoc_bayes.files import write_all
@@ -26,17 +23,12 @@ FINER = 4  # steps of reality for one of the model
 FITTED, HELD = 8, 3
 PSI = {"friction": 0.28, "com": 0.035}
 PATCH = 1.6  # of the table's friction, beyond a line across the boxes' way
-Law = Callable[[mujoco.MjModel], Callable[[mujoco.MjData], None]]  # prepares a model; what to do before each step
 
-FREE_Q, FREE_V = ("x", "y", "z", "qw", "qx", "qy", "qz"), ("vx", "vy", "vz", "wx", "wy", "wz")
 COLUMNS = (
     *(f"qpos/free/{c}" for c in FREE_Q), *(f"qpos/{j}" for j in yumi.JOINTS),
     *(f"qvel/free/{c}" for c in FREE_V), *(f"qvel/{j}" for j in yumi.JOINTS),
 )  # fmt: skip
-STUDY = f"""model = "model.xml"
-recordings = "recordings/*.csv"
-holdout = "holdout/*.csv"
-
+STUDY = f"""{FILES}
 [psi.friction]
 target = "pair/*/friction"
 index = [0, 1]
@@ -137,7 +129,7 @@ def write_study(folder: Path, law: Law | None, seed: int) -> Path:
     return write_all(folder, files)
 
 
-CASES: dict[str, tuple[Law | None, str, str]] = {
+CASES: dict[str, Case] = {
     "joint": (listed("coulomb_friction", "yumi_joint_2_l", force=0.5), "coulomb_friction", "yumi_joint_2_l"),
     "table": (rough_table(PATCH, 0.53), "friction_patch", "block/table"),
     "payload": (listed("payload_mass", "box", mass=0.15, offset=[0.0, 0.05, 0.05]), "payload_mass", "box"),
@@ -145,30 +137,5 @@ CASES: dict[str, tuple[Law | None, str, str]] = {
 }
 
 
-def main() -> int:
-    """Conceal, diagnose, compare."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("cases", nargs="*", default=["joint", "table"], help=", ".join(CASES))
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only-write", type=Path, help="make the studies in this folder and stop")
-    options = parser.parse_args()
-    if unknown := [name for name in options.cases if name not in CASES]:
-        parser.error(f"no such case: {', '.join(unknown)}; allowed: {', '.join(CASES)}")
-    missed = 0
-    for name in options.cases:
-        law, effect, element = CASES[name]
-        if options.only_write:
-            write_study(options.only_write / name, law, options.seed)
-            continue
-        with tempfile.TemporaryDirectory() as folder:
-            line = diagnosed(write_study(Path(folder) / "study", law, options.seed))
-        said = [(e["name"], e["element"]["name"]) for e in line.get("effects", [])]
-        line |= {"case": name, "seed": options.seed, "found": said == ([(effect, element)] if effect else [])}
-        missed += not line["found"]
-        append(LOG, line)
-        print(f"{name}: {line.get('summary', line['verdict'])} ({line['seconds']:.0f} s)", flush=True)
-    return int(missed > 0)
-
-
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(conceal(__doc__, CASES, ("joint", "table"), LOG, write_study))

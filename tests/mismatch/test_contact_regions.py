@@ -107,6 +107,18 @@ def test_a_border_parts_places_and_not_times():
     assert border is not None and border.gain == pytest.approx(100.0) and border.point[0] == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("end", [0.3, 0.7])
+def test_of_two_frictions_about_psi_the_region_is_where_the_body_was_less(end):
+    """Either side may have psi's own: a region and its complement tell the same, by another psi."""
+    x = np.linspace(0, 1, 400)
+    told = np.ones((len(regions.RATIOS), 400))
+    told[regions.RATIOS.index(0.85), x < end] -= 0.5
+    told[regions.RATIOS.index(1.2), x > end] -= 0.5
+    border = regions._best_across(told, on_ground(x), 0.0, 1.0)
+    assert border is not None and border.normal[0] == pytest.approx(1.0 if end > 0.5 else -1.0)
+    assert border.ratio == pytest.approx(1.2 / 0.85 if end > 0.5 else 0.85 / 1.2)
+
+
 def test_no_border_lies_along_the_way_of_a_body():
     x = np.linspace(0, 1, 400)
     assert regions._best_across(told_by(x > 0.5), on_ground(x), np.pi / 2, 1.0) is None

@@ -31,7 +31,7 @@ ALIKE = 3.0  # nats within which directions are as likely: the middle one of suc
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """A plane, the ratio of friction on its normal's side to what it was, and what two gain over one, nats."""
+    """A plane, the ratio of friction on its normal's side to the other's, and what two gain over one, nats."""
 
     gain: float
     normal: Float[np.ndarray, "3"]
@@ -162,9 +162,13 @@ def _best_across(
     point = places.mean(0) + (border - places.mean(0) @ normal) * normal
     nearest = -1e-9 * np.abs(np.log(RATIOS))  # of frictions that gain the same
     here, there = (RATIOS[int((x[:, k] + nearest).argmax())] for x in (before, beyond))
-    if abs(np.log(here)) > abs(np.log(there)):  # psi stays where friction is nearer to what it was
+    between = (here - 1) * (there - 1) < 0  # so psi was fitted to both sides, and is either's as well
+    fewer = 2 * (k + 1) < len(order)  # samples on this side, which then is the region
+    if (
+        fewer if between else abs(np.log(here)) > abs(np.log(there))
+    ):  # psi stays where friction is nearer to what it was
         normal, here, there = -normal, there, here
-    return Border(float(sums.max()), normal, point, there)
+    return Border(float(sums.max()), normal, point, there / here if between else there)
 
 
 def _places(fit: ContactFit, placed: PlacedEffect) -> Float[np.ndarray, "samples 3"]:
