@@ -6,8 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
+import numpy as np
+from jaxtyping import Float
 from logs import append
 from real import diagnosed
+
+from det2stoc_bayes.files import write_all
 
 FREE_Q, FREE_V = ("x", "y", "z", "qw", "qx", "qy", "qz"), ("vx", "vy", "vz", "wx", "wy", "wz")
 FILES = """model = "model.xml"
@@ -18,12 +22,27 @@ Law = Callable[[mujoco.MjModel], Callable[[mujoco.MjData], None]]  # prepares a 
 Case = tuple[Law | None, str, str]  # what is concealed, its name and element
 
 
+def write(
+    folder: Path,
+    model: Path,
+    study: str,
+    columns: Sequence[str],
+    recordings: Mapping[str, Float[np.ndarray, "samples columns"]],
+) -> Path:
+    """A study's files: each recording, time first, by its place without `.csv`; returns the folder."""
+    files = {"model.xml": model.read_bytes(), "study.toml": study.encode()}
+    for stem, values in recordings.items():
+        rows = (",".join(f"{v:.9g}" for v in row) for row in values)
+        files[f"{stem}.csv"] = "\n".join([",".join(("time", *columns)), *rows, ""]).encode()
+    return write_all(folder, files)
+
+
 def conceal(
-    about: str | None, cases: Mapping[str, Case], usual: Sequence[str], log: Path, write: Callable[..., Path]
+    about: str | None, cases: Mapping[str, Case], usual: Sequence[str], log: Path, make: Callable[..., Path]
 ) -> int:
     """Conceals the cases that the command line names, has each diagnosed, and says whether all were found.
 
-    `write` makes a study's files in a folder, of a law and a seed.
+    `make` writes a study into a folder, of a law and a seed.
     """
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("cases", nargs="*", default=usual, help=", ".join(cases))
@@ -36,10 +55,10 @@ def conceal(
     for name in options.cases:
         law, effect, element = cases[name]
         if options.only_write:
-            write(options.only_write / name, law, options.seed)
+            make(options.only_write / name, law, options.seed)
             continue
         with tempfile.TemporaryDirectory() as folder:
-            line = diagnosed(write(Path(folder) / "study", law, options.seed))
+            line = diagnosed(make(Path(folder) / "study", law, options.seed))
         said = [(e["name"], e["element"]["name"]) for e in line.get("effects", [])]
         line |= {"case": name, "seed": options.seed, "found": said == ([(effect, element)] if effect else [])}
         missed += not line["found"]

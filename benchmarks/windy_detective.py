@@ -10,9 +10,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from detective import FILES, FREE_Q, FREE_V, Case, Law, conceal
+from detective import FILES, FREE_Q, FREE_V, Case, Law, conceal, write
+from jaxtyping import Float
 
-from det2stoc_bayes.files import write_all
 from det2stoc_bayes.models import windy_slope
 
 LOG = Path(__file__).parent / "results" / "windy_detective.jsonl"
@@ -66,8 +66,8 @@ def swelling_wind(model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
     return blow
 
 
-def recorded(law: Law | None, random: np.random.Generator) -> str:
-    """One recording as csv."""
+def recorded(law: Law | None, random: np.random.Generator) -> Float[np.ndarray, "samples columns"]:
+    """One recording, time first."""
     spec = mujoco.MjSpec.from_file(str(windy_slope.MODEL))
     spec.option.timestep, spec.option.integrator = TIMESTEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model = spec.compile()
@@ -85,11 +85,11 @@ def recorded(law: Law | None, random: np.random.Generator) -> str:
     for k in range(SAMPLES):
         state = np.concatenate([data.qpos, data.qvel]) + noise * random.standard_normal(model.nq + model.nv)
         state[3:7] /= np.linalg.norm(state[3:7])
-        rows.append(",".join(f"{v:.9g}" for v in (PERIOD * k, *state)))
+        rows.append((PERIOD * k, *state))
         for _ in range(round(PERIOD / TIMESTEP)):
             act(data)
             mujoco.mj_step(model, data)
-    return "\n".join([",".join(("time", *COLUMNS)), *rows, ""])
+    return np.array(rows)
 
 
 def write_study(folder: Path, law: Law | None, seed: int) -> Path:
@@ -97,8 +97,7 @@ def write_study(folder: Path, law: Law | None, seed: int) -> Path:
     random = np.random.default_rng([seed, 43])
     stems = [f"recordings/slide_{k:02d}" for k in range(FITTED)]
     stems += [f"holdout/slide_{FITTED + k:02d}" for k in range(HELD)]
-    files = {"model.xml": windy_slope.MODEL.read_bytes(), "study.toml": STUDY.encode()}
-    return write_all(folder, files | {f"{stem}.csv": recorded(law, random).encode() for stem in stems})
+    return write(folder, windy_slope.MODEL, STUDY, COLUMNS, {stem: recorded(law, random) for stem in stems})
 
 
 CASES: dict[str, Case] = {

@@ -11,10 +11,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from detective import FILES, FREE_Q, FREE_V, Case, Law, conceal
+from detective import FILES, FREE_Q, FREE_V, Case, Law, conceal, write
+from jaxtyping import Float
 
 from det2stoc_bayes.blind.laws import LAWS
-from det2stoc_bayes.files import write_all
 from det2stoc_bayes.models import yumi_pusher as yumi
 from det2stoc_bayes.models.yumi_pusher_policy import PERIOD, Pusher
 
@@ -26,7 +26,7 @@ PATCH = 1.6  # of the table's friction, beyond a line across the boxes' way
 
 COLUMNS = (
     *(f"qpos/free/{c}" for c in FREE_Q), *(f"qpos/{j}" for j in yumi.JOINTS),
-    *(f"qvel/free/{c}" for c in FREE_V), *(f"qvel/{j}" for j in yumi.JOINTS),
+    *(f"qvel/free/{c}" for c in FREE_V), *(f"qvel/{j}" for j in yumi.JOINTS), *(f"ctrl/{j}" for j in yumi.JOINTS),
 )  # fmt: skip
 STUDY = f"""{FILES}
 [psi.friction]
@@ -105,17 +105,13 @@ def recorded(law: Law | None, random: np.random.Generator) -> tuple[np.ndarray, 
     return states, actions
 
 
-def table(states: np.ndarray, actions: np.ndarray) -> bytes:
-    """One recording as csv."""
+def table(states: np.ndarray, actions: np.ndarray) -> Float[np.ndarray, "samples columns"]:
+    """One recording, time first."""
     turn = np.empty((len(states), 4))
     for row, rotation in zip(turn, states[:, 45:54], strict=True):
         mujoco.mju_mat2Quat(row, rotation)
     time = PERIOD * np.arange(len(states))[:, None]
-    values = np.concatenate(
-        [time, states[:, 42:45], turn, states[:, :14], states[:, 54:], states[:, 14:28], actions], 1
-    )
-    head = ",".join(("time", *COLUMNS, *(f"ctrl/{j}" for j in yumi.JOINTS)))
-    return "\n".join([head, *(",".join(f"{v:.9g}" for v in row) for row in values)]).encode() + b"\n"
+    return np.concatenate([time, states[:, 42:45], turn, states[:, :14], states[:, 54:], states[:, 14:28], actions], 1)
 
 
 def write_study(folder: Path, law: Law | None, seed: int) -> Path:
@@ -124,9 +120,8 @@ def write_study(folder: Path, law: Law | None, seed: int) -> Path:
     stems = [f"recordings/push_{k:02d}" for k in range(FITTED)] + [
         f"holdout/push_{FITTED + k:02d}" for k in range(HELD)
     ]
-    files = {"model.xml": yumi.MODEL.read_bytes(), "study.toml": STUDY.encode()}
-    files |= {f"{stem}.csv": table(s, a) for stem, s, a in zip(stems, states, actions, strict=True)}
-    return write_all(folder, files)
+    made = {stem: table(s, a) for stem, s, a in zip(stems, states, actions, strict=True)}
+    return write(folder, yumi.MODEL, STUDY, COLUMNS, made)
 
 
 CASES: dict[str, Case] = {

@@ -20,7 +20,7 @@ from det2stoc_bayes.engines.layout import integrate_positions, position_differen
 from det2stoc_bayes.engines.places import Places, bodies_of, places
 from det2stoc_bayes.linearization import START_STEP, Point
 from det2stoc_bayes.mismatch.effects.base import Drive, Effect, Element, JointState, PlacedEffect, Typical
-from det2stoc_bayes.mismatch.probes import gravity_probe, grown, unit, unit_command
+from det2stoc_bayes.mismatch.probes import Probe, of_command, of_gravity, of_joint, of_wind
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem, merge_requests
 from det2stoc_bayes.segments import from_pieces
@@ -133,7 +133,7 @@ class Response:
         edges = np.rint((segments.time - segments.time[:, :1]) / self._dt).astype(int)
         whole = np.take_along_axis(total, edges[..., None], 1)
         mean = np.diff(whole, axis=1) / np.maximum(np.diff(edges, axis=1), 1)[..., None]
-        b, d = self._unit_response(("ctrl", at.ctrl), unit_command(at), COMMAND_STEP)
+        b, d = self._unit(of_command(at), COMMAND_STEP)
         return b[..., None] * mean[:, :, None], d[..., None] * mean[:, :, None]
 
     @property
@@ -161,58 +161,40 @@ class Response:
     def forced(self, dof: int, forces: Float[np.ndarray, "S K columns"]) -> tuple[np.ndarray, np.ndarray]:
         """d and e of generalized forces on one degree of freedom, held over each interval."""
         scale = float(self.problem.guess.scale[self.problem.simulator.model.nv + dof])
-        b, d = self._unit_response(("dof", dof), unit("constant_force", dof), FORCE_STEP * scale)
+        b, d = self._unit(of_joint("dof", "constant_force", dof), FORCE_STEP * scale)
         return b[..., None] * forces[:, :, None], d[..., None] * forces[:, :, None]
 
     def rubbed(
         self, dof: int, sizes: Float[np.ndarray, "S K columns"], typical: Typical
     ) -> tuple[np.ndarray, np.ndarray]:
         """d and e of dry friction on one degree of freedom, of one size over each interval."""
-        step = FRICTION_STEP * typical.force
-        b, d = self._unit_response(("friction", dof), unit("coulomb_friction", dof), step)
+        b, d = self._unit(of_joint("friction", "coulomb_friction", dof), FRICTION_STEP * typical.force)
         return b[..., None] * sizes[:, :, None], d[..., None] * sizes[:, :, None]
 
     def pulled(self, acceleration: Float[np.ndarray, "S K 3 columns"]) -> tuple[np.ndarray, np.ndarray]:
         """d and e of a change of gravity, held over each interval."""
-        d, e = zip(*(self._unit_pull(axis) for axis in range(3)), strict=True)
+        d, e = zip(*(self._unit(of_gravity(axis), GRAVITY_STEP) for axis in range(3)), strict=True)
         scaled = [
             sum(unit[..., None] * acceleration[:, :, axis, None] for axis, unit in enumerate(units)) for units in (d, e)
         ]
         return np.asarray(scaled[0]), np.asarray(scaled[1])
 
-    def _unit_pull(self, axis: int) -> tuple[np.ndarray, np.ndarray]:
-        """d and e of 1 m/s2 more gravity along an axis, by a small step."""
-        key = ("gravity", axis)
-        if key not in self._units:
-            d, e = self.defects([(gravity_probe(), {"change": GRAVITY_STEP * np.eye(3)[axis]})])
-            self._units[key] = d[..., 0] / GRAVITY_STEP, e[..., 0] / GRAVITY_STEP
-        return self._units[key]
-
     def swelled(self, placed: PlacedEffect, parts: Float[np.ndarray, "S K columns"]) -> tuple[np.ndarray, np.ndarray]:
         """d and e of a wind that grows by so much of itself, held over each interval."""
-        d, e = self._unit_swell(placed)
+        d, e = self._unit(of_wind(placed), SWELL_STEP)
         return d[..., None] * parts[:, :, None], e[..., None] * parts[:, :, None]
-
-    def _unit_swell(self, placed: PlacedEffect) -> tuple[np.ndarray, np.ndarray]:
-        """d and e of a wind that grows by itself, by a small step."""
-        key = ("wind", 0)
-        if key not in self._units:
-            d, e = self.defects([(placed, grown(SWELL_STEP))])
-            self._units[key] = d[..., 0] / SWELL_STEP, e[..., 0] / SWELL_STEP
-        return self._units[key]
 
     def moments(self) -> Float[np.ndarray, "S K points"]:
         """Times inside every interval."""
         time = self.problem.segments.time
         return time[:, :-1, None] + INSIDE * np.diff(time, axis=1)[..., None]
 
-    def _unit_response(self, key: tuple[str, int], probe: PlacedEffect, step: float) -> tuple[np.ndarray, np.ndarray]:
-        """d and e of one unit of a probe's parameter, by a small step."""
-        if key not in self._units:
-            name = probe.effect.parameters[0].name
-            d, e = self.defects([(probe, {name: step})])
-            self._units[key] = d[..., 0] / step, e[..., 0] / step
-        return self._units[key]
+    def _unit(self, probe: Probe, step: float) -> tuple[np.ndarray, np.ndarray]:
+        """d and e of one unit of a probe, by a small step; found once."""
+        if probe.key not in self._units:
+            d, e = self.defects([(probe.placed, probe.values(step))])
+            self._units[probe.key] = d[..., 0] / step, e[..., 0] / step
+        return self._units[probe.key]
 
     def pushed(
         self, effect: Effect, at: Element, trials: Sequence[Mapping[str, np.ndarray]]

@@ -263,11 +263,10 @@ def test_what_leads_psi_back_is_no_additions_merit(followed, problem, pool, monk
 
 def test_who_falls_behind_on_all_recordings_is_not_fitted_to_the_end(followed, problem, pool, monkeypatch):
     base = pair_of(followed, [z_of(problem, TRUTH)])
-    ended, in_reach = [], search.in_reach
-    finished = search.finished
+    ended, in_reach, finished = [], search.in_reach, search.finished
     monkeypatch.setattr(search, "finished", lambda fit, *rest: ended.append(fit) or finished(fit, *rest))
     monkeypatch.setattr(
-        search, "in_reach", lambda fits, bare, part, slack: fits if part < 0.6 else in_reach(fits, bare, part, 0.0)
+        search, "in_reach", lambda fits, *rest: in_reach(fits, *rest) if rest[1] == search.FITTED else fits
     )
     promises = [
         screening.Promise(named(pool, "linear_drag"), 100.0, {"coefficient": 0.1}, np.zeros(1)),

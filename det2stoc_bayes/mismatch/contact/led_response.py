@@ -5,7 +5,7 @@ back. So no history of forces costs a simulation of its own. Where contact is ma
 have nothing in common, and count for as little as they do for unknowns.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from threading import RLock
 
@@ -20,13 +20,11 @@ from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import FARTHEST
 from det2stoc_bayes.mismatch.contact.observers import sds_of_starts
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
-from det2stoc_bayes.mismatch.probes import gravity_probe, grown
+from det2stoc_bayes.mismatch.probes import Probe
 from det2stoc_bayes.mismatch.response import Response
 
 UNSEEN = 0.1  # of its spread, which may be half a turn: as far as a coordinate that nothing shows is moved
-WIDER = 10.0  # times a free trajectory's steps: forces to either side of none, past a contact's kink
-PULL = 1.0  # m/s2
-SWELL = 0.1  # of the steady wind
+WIDER = {"dof": 10.0, "gravity": 100.0, "wind": 20.0}  # times a free trajectory's steps: past a contact's kink
 
 
 class LedResponse(Response):
@@ -63,31 +61,18 @@ class LedResponse(Response):
 
         self.a, self.c = self._spread(slopes(state)), self._spread(slopes(column))
 
-    def _unit_response(self, key: tuple[str, int], probe: PlacedEffect, step: float) -> tuple[np.ndarray, np.ndarray]:
-        if key[0] != "dof":
-            with self._finding:
-                return super()._unit_response(key, probe, step)
-        name, wide = probe.effect.parameters[0].name, WIDER * step
-        return self._to_both_sides(key, probe, wide, lambda size: {name: size})
-
-    def _unit_pull(self, axis: int) -> tuple[np.ndarray, np.ndarray]:
-        return self._to_both_sides(
-            ("gravity", axis), gravity_probe(), PULL, lambda size: {"change": size * np.eye(3)[axis]}
-        )
-
-    def _unit_swell(self, placed: PlacedEffect) -> tuple[np.ndarray, np.ndarray]:
-        return self._to_both_sides(("wind", 0), placed, SWELL, grown)
-
-    def _to_both_sides(
-        self, key: tuple[str, int], probe: PlacedEffect, step: float, values: Callable[[float], Values]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """d and e of a unit of a probe, by a step of it to either side; found once."""
+    def _unit(self, probe: Probe, step: float) -> tuple[np.ndarray, np.ndarray]:
+        """What pushes and pulls by a wider step to either side."""
         with self._finding:
-            if key not in self._units:
-                both = self.defects([(probe, values(step)), (probe, values(-step))])
-                d, e = (steady(x[..., 0], -x[..., 1]) / step for x in both)
-                self._units[key] = d, e
-            return self._units[key]
+            wider = WIDER.get(probe.key[0])
+            if wider is None:
+                return super()._unit(probe, step)
+            if probe.key not in self._units:
+                wide = wider * step
+                both = self.defects([(probe.placed, probe.values(size)) for size in (wide, -wide)])
+                d, e = (steady(x[..., 0], -x[..., 1]) / wide for x in both)
+                self._units[probe.key] = d, e
+            return self._units[probe.key]
 
     def propagate(self, d: np.ndarray, e: np.ndarray) -> Float[np.ndarray, "S values columns"]:
         """Change of what is foretold (flat over samples and columns) that is caused by defects."""

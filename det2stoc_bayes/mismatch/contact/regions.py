@@ -31,7 +31,7 @@ ALIKE = 3.0  # nats within which directions are as likely: the middle one of suc
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """A plane, the ratio of friction on its normal's side to the other's, and what two gain over one, nats."""
+    """A plane, the ratio of friction on its normal's side to psi's on the other, and what two gain over one, nats."""
 
     gain: float
     normal: Float[np.ndarray, "3"]
@@ -164,9 +164,8 @@ def _best_across(
     here, there = (RATIOS[int((x[:, k] + nearest).argmax())] for x in (before, beyond))
     between = (here - 1) * (there - 1) < 0  # so psi was fitted to both sides, and is either's as well
     fewer = 2 * (k + 1) < len(order)  # samples on this side, which then is the region
-    if (
-        fewer if between else abs(np.log(here)) > abs(np.log(there))
-    ):  # psi stays where friction is nearer to what it was
+    nearer = abs(np.log(here)) > abs(np.log(there))  # beyond: there psi stays, as friction is nearer to what it was
+    if fewer if between else nearer:
         normal, here, there = -normal, there, here
     return Border(float(sums.max()), normal, point, there / here if between else there)
 

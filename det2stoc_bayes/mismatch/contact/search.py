@@ -35,7 +35,7 @@ from det2stoc_bayes.mismatch.shortlist import shortlist
 NUM_SKETCHED = 10  # the most promising candidates, of which some steps are made,
 NUM_REFINED = 5  # and the best of them, which are fitted to the end
 ALSO = 0.3  # of what an effect's best trial promises: what another of them must
-BEGUN, DRAWN, FITTED = 0.2, 0.4, 0.6  # of the best's gain: who has less after a first step, a sketch, or one of all
+BEGUN, DRAWN, FITTED = 0.2, 0.4, 0.6  # of the best's gain: who has less after a step, a sketch, some steps on all
 LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less is not fitted
 MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
 NEAR, LEAST_NEAR = 0.3, 30.0  # share of the best's gain, and nats, behind which none comes near any more
