@@ -15,7 +15,7 @@ from det2stoc_bayes.mismatch.contact.run import fit_believed, touches
 from det2stoc_bayes.mismatch.evidence import whitened
 from det2stoc_bayes.mismatch.horizon import LARGEST_ERROR, climb
 from det2stoc_bayes.mismatch.open_equivalences import open_equivalences
-from det2stoc_bayes.mismatch.race import counted
+from det2stoc_bayes.mismatch.refine import counted
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.problem import Problem, make_problem
 from det2stoc_bayes.recording import Recording, StudyWarning

@@ -12,7 +12,8 @@ from det2stoc_bayes.mismatch.horizon import reaches
 from det2stoc_bayes.mismatch.kin import truer_pair
 from det2stoc_bayes.mismatch.leading import leading
 from det2stoc_bayes.mismatch.looks import Looks
-from det2stoc_bayes.mismatch.race import NUM_PAIRS, PROMISING, Ranked, Slot, gain, threshold
+from det2stoc_bayes.mismatch.race import Ranked, Slot, gain, threshold
+from det2stoc_bayes.mismatch.refine import NUM_PAIRS, PROMISING
 from det2stoc_bayes.mismatch.refit import refit, reordered, swap, without, without_each
 from det2stoc_bayes.mismatch.rivals import with_rivals
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE

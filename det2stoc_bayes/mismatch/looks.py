@@ -6,7 +6,8 @@ from typing import Any
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.horizon import extend
 from det2stoc_bayes.mismatch.pairs import pairs
-from det2stoc_bayes.mismatch.race import Progress, Slot, look, look_again, refine_pairs
+from det2stoc_bayes.mismatch.race import Slot
+from det2stoc_bayes.mismatch.refine import Progress, look, look_again, refine_pairs
 from det2stoc_bayes.mismatch.screen import Screened
 from det2stoc_bayes.optimize import Fit
 

@@ -44,17 +44,21 @@ def one_sided(placed: PlacedEffect, trial: Trial) -> Bool[np.ndarray, " columns"
 
 
 def screen(
-    fit: Fit, candidates: Sequence[PlacedEffect], advance: Callable[[int], None] = lambda n: None
+    fit: Fit,
+    candidates: Sequence[PlacedEffect],
+    advance: Callable[[int], None] = lambda n: None,
+    where: Fit | None = None,
 ) -> list[Screened]:
     """Every candidate's best trial, best first. Trials whose simulation diverges are passed over.
 
-    With the fit's own columns beside a trial's, an effect that psi can absorb earns nothing.
+    With the fit's own columns beside a trial's, an effect that psi can absorb earns nothing. Responses are those at
+    the fit, or at another one that stands where it does.
     """
     trials: dict[PlacedEffect, list[Screened]] = {}
     beside = Beside(fit)
     there = {(e.effect.name, e.element) for e in fit.problem.effects}
     new = [c for c in candidates if (c.effect.name, c.element) not in there]
-    by_trial = Changes(fit)
+    by_trial = Changes(where or fit)
     for number, (placed, trial, columns) in enumerate(by_trial.every(new, advance), 1):
         found = beside.judge(placed, trial, columns)
         if found is not None:

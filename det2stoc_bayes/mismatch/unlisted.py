@@ -15,7 +15,8 @@ from det2stoc_bayes.mismatch.explain import Explanation, bare_fit, enough, expla
 from det2stoc_bayes.mismatch.horizon import FAR, extend, reaches
 from det2stoc_bayes.mismatch.kin import truer_pair
 from det2stoc_bayes.mismatch.looks import Looks
-from det2stoc_bayes.mismatch.race import NUM_PAIRS, Ranked, added, gain, race, threshold, tolerance
+from det2stoc_bayes.mismatch.race import Ranked, added, gain, race, threshold, tolerance
+from det2stoc_bayes.mismatch.refine import NUM_PAIRS
 from det2stoc_bayes.mismatch.screen import Screened
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 from det2stoc_bayes.mismatch.unlisted_screen import joints, reshaped, screen_unlisted
