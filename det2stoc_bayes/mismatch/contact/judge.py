@@ -62,7 +62,8 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     taken = [r for r in rounds if r.taken is not None]
     # A short memory forgives what is missing: all are led as the last one is.
     chain = [before, *(r.base for r in taken[1:]), *([final] if taken else [])]
-    start, *rest = (rod.of(with_memory(p, final.fit.followed.memory)) for p in chain)
+    chain = [with_memory(p, final.fit.followed.memory) for p in chain]
+    start, *rest = (rod.of(p) for p in chain)
     # What a right model leaves scatters by up to a quarter from one set of its own recordings to the next: on these it
     # leaves no more than the explanation does.
     excess = start - min(rod.level, *rest, start)
@@ -75,7 +76,8 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     random = np.random.default_rng(seed)
     places = tuple(classes(r, random) for r in taken)
     common = {"rounds": tuple(rounds), "rod": rod, "excess": excess / rod.level, "unexplained": left}
-    small = not taken or sum(explains) < NEGLIGIBLE or start - rest[-1] < NEGLIGIBLE * rod.level
+    surely = rod.most_gained(chain[0], chain[-1]) < NEGLIGIBLE * rod.level
+    small = not taken or sum(explains) < NEGLIGIBLE or surely
     if small:
         out = tuple((r.taken, e) for r, e in zip(taken, explains, strict=True) if r.taken is not None)
         shown = topped_pair(before, seed) if taken else before

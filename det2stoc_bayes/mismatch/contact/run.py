@@ -16,7 +16,7 @@ from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
 from det2stoc_bayes.mismatch.contact.top import widened
-from det2stoc_bayes.mismatch.contact.yardstick import Yardstick, yardstick
+from det2stoc_bayes.mismatch.contact.yardstick import SURELY, Yardstick, yardstick
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 from det2stoc_bayes.problem import Problem
@@ -24,7 +24,6 @@ from det2stoc_bayes.segments import cut
 
 TOUCHES = 0.02  # share of states in contact from which a study is one with contact
 SHORT = 20  # samples of the predictions in which that is looked at
-SURELY = 2.0  # standard errors
 EVERY = 4  # without held-out recordings, of how many one is not fitted
 
 

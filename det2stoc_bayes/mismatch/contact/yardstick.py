@@ -13,6 +13,7 @@ from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 
 NUM_REPLICAS = 2
 FARTHEST = 4.0  # scales beyond which an error counts no more: one block that went the other way says little
+SURELY = 2.0  # standard errors
 LEAST_BLOCKS = 8  # that are held out, or nothing is decided by them alone
 
 
@@ -34,6 +35,11 @@ class Yardstick:
         excess = before - self.level
         return float(np.clip((after - self.level) / max(excess, 1e-9), 0.0, 1.0)) if excess > 0 else 0.0
 
+    def most_gained(self, before: Pair, after: Pair) -> float:
+        """What one hypothesis may leave less of than another, at most: by all blocks, and SURELY standard errors."""
+        fell = self._all(before) - self._all(after)
+        return float(fell.mean() + SURELY * fell.std() / np.sqrt(len(fell)))
+
     def uncertain(self, pair: Pair) -> float:
         """1 standard error of the mean, over blocks."""
         blocks = self._blocks(pair)
@@ -41,9 +47,10 @@ class Yardstick:
 
     def _blocks(self, pair: Pair) -> Float[np.ndarray, " blocks"]:
         held = squares(pair.held.errors, self.reference)
-        if len(held) >= LEAST_BLOCKS:
-            return held
-        return np.concatenate([held, squares(pair.fit.errors, self.reference)])
+        return held if len(held) >= LEAST_BLOCKS else self._all(pair)
+
+    def _all(self, pair: Pair) -> Float[np.ndarray, " blocks"]:
+        return np.concatenate([squares(one.errors, self.reference) for one in (pair.held, pair.fit)])
 
 
 def yardstick(fit: ContactFit, seed: int) -> Yardstick:
