@@ -15,13 +15,14 @@ import typer
 from det2stoc_bayes.cli_given import KINDS, load, made_by, study_or_problem
 from det2stoc_bayes.cli_help import EXAMPLES, SHELL, experiments, methods, starting
 from det2stoc_bayes.errors import Det2StocError, listing
-from det2stoc_bayes.files import check_folder
+from det2stoc_bayes.files import check_folder, check_kept
 from det2stoc_bayes.models import POSED, VECTORS
 from det2stoc_bayes.streams import reporting, show, show_report
 
 LEAST_DRAWS, MOST_DRAWS, MOST_SEED = 4, 10_000_000, 2**63 - 1
 REFINED = "svi+psis for a refined one"
 METHODS = listing(methods(), 20)
+DIAGNOSED = "patched.xml", "effects.py", "fit.nc", "report.html", "diagnosis.json"
 EQUAL = "as many more as make chains equally long"
 
 app = typer.Typer(
@@ -206,10 +207,12 @@ def diagnose(
 ) -> None:
     """Find and model what the simulator leaves out."""
     with reporting(debug) as stages:
-        check_folder(out, "patched.xml", "effects.py", "fit.nc", "report.html", "diagnosis.json")
+        check_folder(out, *DIAGNOSED)
         from det2stoc_bayes import tables, verbs
 
-        diagnosis = verbs.diagnose(load(study), seed=seed, exact=exact, progress=stages)
+        believed = load(study)
+        check_kept((out / name for name in DIAGNOSED), (believed.model_path,))
+        diagnosis = verbs.diagnose(believed, seed=seed, exact=exact, progress=stages)
         diagnosis.write(out)
     finding = diagnosis.finding
     show_report(finding.model_dump(mode="json") if as_json else tables.finding_tables(finding), out, as_json)

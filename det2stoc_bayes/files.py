@@ -58,6 +58,14 @@ def check_files(paths: Iterable[Path]) -> None:
             raise Det2StocError(f"{path}: found a folder in the place of a file; allowed: another --out, or to move it")
 
 
+def check_kept(places: Iterable[Path], read: Iterable[Path]) -> None:
+    """Places for files where something stands that is read are a Det2StocError before the work."""
+    kept = {path.resolve() for path in read}
+    for path in places:
+        if path.resolve() in kept:
+            raise Det2StocError(f"{path}: is read by the study, and would be overwritten; allowed: another --out")
+
+
 def unwritable(path: Path, error: OSError) -> Det2StocError:
     """That a file or folder cannot be written, and why."""
     reason = error.strerror or " ".join(str(error).split())

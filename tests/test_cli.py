@@ -256,6 +256,18 @@ def test_a_folder_in_place_of_a_file_is_an_error_before_the_work(study, tmp_path
     assert [p for p in (tmp_path / "out").rglob("*") if p.is_file()] == []
 
 
+def test_a_diagnosis_does_not_overwrite_the_model_that_it_is_of(tmp_path):
+    """A corrected simulator, diagnosed anew where it lies."""
+    folder = make_study(tmp_path / "study", model_xml(HINGE), TOML, {"swing": _swing()}).folder
+    (folder / "model.xml").rename(folder / "patched.xml")
+    (folder / "study.toml").write_text((folder / "study.toml").read_text().replace("model.xml", "patched.xml"))
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    shown = run("diagnose", folder, "--out", folder / ".." / "study")
+    assert shown.exit_code == 2
+    assert "study/patched.xml: is read by the study, and would be overwritten; allowed: another --out" in shown.stderr
+    assert before == {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
 def test_warnings_of_the_study_are_shown_once_and_of_libraries_never(study, monkeypatch):
     def loaded(folder):
         import warnings
