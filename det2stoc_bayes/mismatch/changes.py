@@ -15,6 +15,7 @@ from det2stoc_bayes.optimize import Fit
 MAX_COLUMNS = 128  # held at once
 
 Values = Mapping[str, Any]
+type Defects = tuple[np.ndarray, np.ndarray]  # of states and of columns, over each interval, as a response has them
 
 
 class Changes:
@@ -60,40 +61,66 @@ def _columns(response: Response, readings: "_Readings", placed: PlacedEffect, tr
 
 def of_constants(placed: PlacedEffect) -> bool:
     """Whether an effect is one of the model's constants alone, so that `of_motion` simulates each interval with it."""
-    effect, plain = placed.effect, "plain" in placed.element.traits
-    told = ("reading", "joint_force", "friction", "gravity", "swell", "body_force", "control")
-    return not any(effect.uses(name) for name in told) and not (effect.uses("force_along") and plain)
+    return _way(placed) is None and not placed.effect.uses("reading") and not placed.effect.uses("control")
 
 
 def of_motion(
     response: Response, placed: PlacedEffect, tried: Sequence[Values]
 ) -> Float[np.ndarray, "segments values columns"]:
     """What an effect on the motion changes, for each of these parameter values."""
-    effect, at = placed.effect, placed.element
-    given = [{n: np.asarray(v, float) for n, v in values.items()} for values in tried]
-    if effect.uses("joint_force") or (effect.uses("force_along") and "plain" in at.traits):
-        inside = response.joint_states(at)
-        force = np.stack([effect.force_along(p, inside).mean(-1) for p in given], -1)
-        d, e = response.forced(at.dof, force)
-        if at.source:
-            back = np.stack([effect.reaction(p, inside, np).mean(-1) for p in given], -1)
-            d, e = (a + b for a, b in zip((d, e), response.forced(at.source_dof, back), strict=True))
-        return response.propagate(d, e)
+    way = _way(placed)
+    if way is None:
+        return response.propagate(*response.defects([(placed, values) for values in tried]))
+    return response.propagate(*way(response, placed, tried))
+
+
+def _way(placed: PlacedEffect) -> Callable[[Response, PlacedEffect, Sequence[Values]], Defects] | None:
+    """By what an effect makes its defects without a simulation of its own, if there is such a way."""
+    effect = placed.effect
+    if effect.uses("joint_force") or (effect.uses("force_along") and "plain" in placed.element.traits):
+        return _forced
     if effect.uses("friction"):
-        inside = response.joint_states(at)
-        size = np.stack([effect.friction(p, inside, np).mean(-1) for p in given], -1)
-        return response.propagate(*response.rubbed(at.dof, size, placed.typical))
+        return _rubbed
     if effect.uses("gravity"):
-        felt = [effect.gravity(p, response.moments(), np).mean(2) for p in given]
-        return response.propagate(*response.pulled(np.stack(felt, -1)))
+        return _pulled
     if effect.uses("swell"):
-        parts = [effect.swell(p, response.moments(), np).mean(2) for p in given]
-        return response.propagate(*response.swelled(placed, np.stack(parts, -1)))
+        return _swelled
     if effect.uses("body_force"):
-        return response.propagate(*response.pushed(effect, at, given))
+        return lambda response, placed, tried: response.pushed(placed.effect, placed.element, _arrays(tried))
     if effect.uses("control") and not effect.uses("memory"):  # of this sample's command alone
-        return response.propagate(*response.commanded(at, effect, tried))
-    return response.propagate(*response.defects([(placed, values) for values in tried]))
+        return lambda response, placed, tried: response.commanded(placed.element, placed.effect, tried)
+    return None
+
+
+def _forced(response: Response, placed: PlacedEffect, tried: Sequence[Values]) -> Defects:
+    effect, at, given = placed.effect, placed.element, _arrays(tried)
+    inside = response.joint_states(at)
+    force = np.stack([effect.force_along(p, inside).mean(-1) for p in given], -1)
+    d, e = response.forced(at.dof, force)
+    if at.source:
+        back = np.stack([effect.reaction(p, inside, np).mean(-1) for p in given], -1)
+        d, e = (a + b for a, b in zip((d, e), response.forced(at.source_dof, back), strict=True))
+    return d, e
+
+
+def _rubbed(response: Response, placed: PlacedEffect, tried: Sequence[Values]) -> Defects:
+    inside = response.joint_states(placed.element)
+    size = np.stack([placed.effect.friction(p, inside, np).mean(-1) for p in _arrays(tried)], -1)
+    return response.rubbed(placed.element.dof, size, placed.typical)
+
+
+def _pulled(response: Response, placed: PlacedEffect, tried: Sequence[Values]) -> Defects:
+    felt = [placed.effect.gravity(p, response.moments(), np).mean(2) for p in _arrays(tried)]
+    return response.pulled(np.stack(felt, -1))
+
+
+def _swelled(response: Response, placed: PlacedEffect, tried: Sequence[Values]) -> Defects:
+    parts = [placed.effect.swell(p, response.moments(), np).mean(2) for p in _arrays(tried)]
+    return response.swelled(placed, np.stack(parts, -1))
+
+
+def _arrays(tried: Sequence[Values]) -> list[dict[str, np.ndarray]]:
+    return [{n: np.asarray(v, float) for n, v in values.items()} for values in tried]
 
 
 class _Readings:
