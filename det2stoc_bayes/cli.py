@@ -209,9 +209,10 @@ def diagnose(
     with reporting(debug) as stages:
         check_folder(out, *DIAGNOSED)
         from det2stoc_bayes import tables, verbs
+        from det2stoc_bayes.engines.model_names import model_files
 
         believed = load(study)
-        check_kept((out / name for name in DIAGNOSED), (believed.model_path,))
+        check_kept((out / name for name in DIAGNOSED), model_files(believed.model_path))
         diagnosis = verbs.diagnose(believed, seed=seed, exact=exact, progress=stages)
         diagnosis.write(out)
     finding = diagnosis.finding

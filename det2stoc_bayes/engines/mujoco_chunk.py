@@ -247,10 +247,10 @@ def _interpolate(
     low = np.clip(np.floor(at).astype(int), 0, values.shape[1] - 2)
     share = (at - low)[..., None]
     rows = np.arange(len(values))[:, None]
-    with np.errstate(invalid="ignore"):  # of what diverges
+    with np.errstate(invalid="ignore", over="ignore"):  # of what diverges
         out = (1 - share) * values[rows, low] + share * values[rows, low + 1]
-    if values.shape[1] > 2 and (at < 0).any():
-        before = np.clip(at, -LONGEST_BEND, 0.0)[..., None]
-        bend = values[:, 2] - 2 * values[:, 1] + values[:, 0]
-        out += 0.5 * before * (before - 1) * bend[:, None]
+        if values.shape[1] > 2 and (at < 0).any():
+            before = np.clip(at, -LONGEST_BEND, 0.0)[..., None]
+            bend = values[:, 2] - 2 * values[:, 1] + values[:, 0]
+            out += 0.5 * before * (before - 1) * bend[:, None]
     return out

@@ -86,9 +86,9 @@ def _way(placed: PlacedEffect) -> Callable[[Response, PlacedEffect, Sequence[Val
     if effect.uses("swell"):
         return _swelled
     if effect.uses("body_force"):
-        return lambda response, placed, tried: response.pushed(placed.effect, placed.element, _arrays(tried))
+        return _pushed
     if effect.uses("control") and not effect.uses("memory"):  # of this sample's command alone
-        return lambda response, placed, tried: response.commanded(placed.element, placed.effect, tried)
+        return _commanded
     return None
 
 
@@ -117,6 +117,14 @@ def _pulled(response: Response, placed: PlacedEffect, tried: Sequence[Values]) -
 def _swelled(response: Response, placed: PlacedEffect, tried: Sequence[Values]) -> Defects:
     parts = [placed.effect.swell(p, response.moments(), np).mean(2) for p in _arrays(tried)]
     return response.swelled(placed, np.stack(parts, -1))
+
+
+def _pushed(response: Response, placed: PlacedEffect, tried: Sequence[Values]) -> Defects:
+    return response.pushed(placed.effect, placed.element, _arrays(tried))
+
+
+def _commanded(response: Response, placed: PlacedEffect, tried: Sequence[Values]) -> Defects:
+    return response.commanded(placed.element, placed.effect, tried)
 
 
 def _arrays(tried: Sequence[Values]) -> list[dict[str, np.ndarray]]:

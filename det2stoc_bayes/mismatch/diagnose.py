@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from det2stoc_bayes.engines.model_names import model_files
 from det2stoc_bayes.errors import MethodNotApplicable, SimulationDiverged
-from det2stoc_bayes.files import atomic_write
+from det2stoc_bayes.files import atomic_write, check_kept
 from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.belief import Sampler, Temper
 from det2stoc_bayes.mismatch.candidates import candidates
@@ -52,6 +53,7 @@ class Diagnosis:
         names = ["patched.xml", *(["effects.py"] if self.patch.module else []), "fit.nc", "diagnosis.json"]
         content = self.finding.model_dump(mode="json")
         page = diagnosis_page(content, self.tree, study_name=self.study.name, files=tuple(names))
+        check_kept((out / name for name in names), model_files(self.study.model_path))
         out.mkdir(parents=True, exist_ok=True)
         for name, path in self.patch.assets.items():
             (out / name).parent.mkdir(parents=True, exist_ok=True)

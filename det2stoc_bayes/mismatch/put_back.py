@@ -7,7 +7,10 @@ from det2stoc_bayes.optimize import Fit, summarize
 
 
 def put_back(fit: Fit) -> Fit:
-    """No optimum, but the fit's own linearization; the other unknowns stay as they are."""
+    """No optimum, but the fit's own linearization; the other unknowns stay as they are.
+
+    What is put back is what the effect's unknowns change to first order: of a ripple or an attraction a rough guess.
+    """
     problem, own = fit.problem, fit.problem.effects[-1]
     size, z = problem.size - own.size, fit.point.z
     explained = fit.linear.columns[..., size:] @ z[size:, None]

@@ -82,7 +82,8 @@ def _refined(
         leader = max(others, key=lambda f: gain(base, f, share))
         astray = i == 0 or gain(base, fits[s.placed], share) < 0
         if astray and s.log_evidence > gain(base, leader, share) and not any(by_chance(f) for f in others):
-            fits[s.placed] = _from_leader(base, leader, _led_on(base, fits[s.placed], s, share), share)
+            led = _led_on(base, fits[s.placed], s, share)
+            fits[s.placed] = _from_leader(base, leader, led, share)
     share = _share(fits.values())
     ranked = [Ranked(placed, f, gain(base, f, share)) for placed, f in fits.items()]
     return Slot(base, tuple(screened), tuple(sorted(ranked, key=lambda r: -r.gain)))
@@ -118,7 +119,7 @@ def _from_leader(base: Fit, leader: Fit, fit: Fit, share: float) -> Fit:
     Far from the recordings its trials were judged by what they promise; there, by what the leader leaves.
     """
     placed = fit.problem.effects[-1]
-    if leader.problem.effects[-1] == placed or log_evidence(fit, share) >= log_evidence(leader, share):
+    if leader.problem.effects[-1] == placed or gain(base, leader, share) <= max(gain(base, fit, share), 0.0):
         return fit
     bare = put_back(leader)
     tried = [t for s in screen(bare, [placed], where=leader) for t in (s, *s.others) if t.coefficients.any()]

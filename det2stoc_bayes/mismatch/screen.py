@@ -52,7 +52,7 @@ def screen(
     """Every candidate's best trial, best first. Trials whose simulation diverges are passed over.
 
     With the fit's own columns beside a trial's, an effect that psi can absorb earns nothing. Responses are those at
-    the fit, or at another one that stands where it does.
+    the fit, or at another one of the same samples that stands where it does.
     """
     trials: dict[PlacedEffect, list[Screened]] = {}
     beside = Beside(fit)

@@ -100,14 +100,16 @@ def test_not_the_first_alone_is_led_on_until_one_explains(names, asked, tmp_path
         led.append(lead.placed.effect.name)
         return real(base, fit, lead, share)
 
+    anew = []
     monkeypatch.setattr(module, "_led_on", led_on)
+    monkeypatch.setattr(module, "_from_leader", lambda base, leader, fit, share: anew.append(fit) or fit)
     none = np.zeros(base.problem.size)
     promised = [
         Screened(p, p.effect.trials(typical)[0], 1e4 - i, 0.0, np.zeros(len(p.effect.trials(typical)[0].columns)), none)
         for i, p in enumerate(placed)
     ]
     slot = module._refined(base, promised, (), len(placed), lambda *_: None, None)
-    assert led == [names[i] for i in asked]
+    assert led == [names[i] for i in asked] == [f.problem.effects[-1].effect.name for f in anew]
     assert by_chance(slot.ranked[0].fit) is (truth.effect.name in led)
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from det2stoc_bayes.mismatch.conflict import strained
 from det2stoc_bayes.mismatch.contact.converged import no_surer_than_steps
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
-from det2stoc_bayes.mismatch.contact.pair import Pair, paired, with_memory
+from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, paired, with_memory
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.search import Round, alike, chances
 from det2stoc_bayes.mismatch.contact.top import topped
@@ -62,8 +62,7 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     taken = [r for r in rounds if r.taken is not None]
     # A short memory forgives what is missing: all are led as the last one is.
     chain = [before, *(r.base for r in taken[1:]), *([final] if taken else [])]
-    chain = [with_memory(p, final.fit.followed.memory) for p in chain]
-    start, *rest = (rod.of(p) for p in chain)
+    start, *rest = (rod.of(with_memory(p, final.fit.followed.memory)) for p in chain)
     # What a right model leaves scatters by up to a quarter from one set of its own recordings to the next: on these it
     # leaves no more than the explanation does.
     excess = start - min(rod.level, *rest, start)
@@ -76,8 +75,7 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     random = np.random.default_rng(seed)
     places = tuple(classes(r, random) for r in taken)
     common = {"rounds": tuple(rounds), "rod": rod, "excess": excess / rod.level, "unexplained": left}
-    surely = rod.most_gained(chain[0], chain[-1]) < NEGLIGIBLE * rod.level
-    small = not taken or sum(explains) < NEGLIGIBLE or surely
+    small = not taken or sum(explains) < NEGLIGIBLE or _surely_little(before, final, rod)
     if small:
         out = tuple((r.taken, e) for r, e in zip(taken, explains, strict=True) if r.taken is not None)
         shown = topped_pair(before, seed) if taken else before
@@ -93,6 +91,18 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
             return replace(others, open_place=places[-1])
     shown = before if sure else topped_pair(before, seed)
     return Verdict(verdict, shown, after=final, places=places, explains=explains, **common)
+
+
+def _surely_little(before: Pair, final: Pair, rod: Yardstick) -> bool:
+    """Whether an explanation surely takes next to nothing off, with its memory and the next, which forgives less."""
+    memory = final.fit.followed.memory
+    if rod.most_gained(with_memory(before, memory), final) >= NEGLIGIBLE:
+        return False
+    longer = next((m for m in MEMORIES if m > memory), None)
+    if longer is None:
+        return True
+    plain, told = (with_memory(p, longer) for p in (before, final))
+    return rod.along(told).most_gained(plain, told) < NEGLIGIBLE
 
 
 def _without(before: Pair, rounds: list[Round], last: Round, seed: int) -> Verdict:

@@ -1,6 +1,6 @@
 """What errors a right model would leave: those of fits to recordings that a hypothesis itself has made."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -36,9 +36,17 @@ class Yardstick:
         return float(np.clip((after - self.level) / max(excess, 1e-9), 0.0, 1.0)) if excess > 0 else 0.0
 
     def most_gained(self, before: Pair, after: Pair) -> float:
-        """What one hypothesis may leave less of than another, at most: by all blocks, and SURELY standard errors."""
+        """Share of the level that one hypothesis may leave less than another, at most: SURELY standard errors more.
+
+        By all blocks: on those that were fitted an addition leaves less anyway, and what is little there is little.
+        """
         fell = self._all(before) - self._all(after)
-        return float(fell.mean() + SURELY * fell.std() / np.sqrt(len(fell)))
+        return float(fell.mean() + SURELY * fell.std() / np.sqrt(len(fell))) / self.level
+
+    def along(self, pair: Pair) -> "Yardstick":
+        """One by what a hypothesis itself leaves, with whatever memory it has."""
+        own = replace(self, reference=pair.fit.scales)
+        return replace(own, level=float(own._all(pair).mean()))
 
     def uncertain(self, pair: Pair) -> float:
         """1 standard error of the mean, over blocks."""
