@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float, PRNGKeyArray
 
 from det2stoc_bayes.inference._cvae import Cvae, HybridELBO, Schedule, normal, optimize, standard_normal
-from det2stoc_bayes.inference._episodes import Episodes, calibrated, population_draws
+from det2stoc_bayes.inference._episode_encoder import episode_posteriors
+from det2stoc_bayes.inference._episodes import Episodes, population_draws
 from det2stoc_bayes.inference._latent import LatentMixture
 from det2stoc_bayes.inference._networks import Decoder, Encoder, ExtendedDecoder
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
@@ -41,11 +42,11 @@ class Options:
     alpha: float = 0.8
     dropout: float = 0.2
     width: int = 64
-    num_calibrated: int = 0  # simulated episodes, held back, that tell how far episodes' posteriors are off
     few: tuple[int, int] = (3000, 32)  # fewer rows than this: a baseline of this width, the better one there
     decoder: Schedule = Schedule(num_steps=12_000, batch=1000, learning_rate=5e-3)
     encoder: Schedule = Schedule(num_steps=2_000, batch=256, learning_rate=1e-3)
     baseline: Schedule = Schedule(num_steps=8_000, batch=256, learning_rate=2e-3)
+    episodes: Schedule | None = None  # of an encoder of whole episodes; None: their posteriors are the decoder's
 
     @classmethod
     def decoding(cls, num_steps: int) -> "Options":
@@ -196,24 +197,24 @@ def iterate(
     `varies`: which psi differ between episodes (None: all of them); of the others the population's sd is 0.
     """
     keys = jax.random.split(key, 4)
-    judged = simulated.episode < options.num_calibrated
-    shown, true = simulated[~judged], believed.standard(psi)
-    scaling, learned = Scaling.of(shown), ()
+    true, scaling, learned = believed.standard(psi), Scaling.of(simulated), ()
     if decoder is None:
-        decoder, learned = pretrain(shown, true[~judged], scaling, keys[0], options, progress)
+        decoder, learned = pretrain(simulated, true, scaling, keys[0], options, progress)
     cvae, recognized = recognize(real, decoder, scaling, keys[1], options, progress)
     x, y = scaling.standard(real)
     q = normal(*jax.vmap(cvae.encoder)(jnp.asarray(x), jnp.asarray(y)))
     q_mean, q_variance = np.asarray(q.mean, float), np.asarray(q.variance, float)
     divergences = 0.5 * (q_variance + q_mean**2 - 1 - np.log(q_variance))
     loc, sd, own = believed.loc, believed.scale, slice(len(believed.loc))
-    means, covariances = Episodes.of(cvae, x, y, real.episode).posteriors()
-    means, covariances = means[:, own], covariances[:, own, own]
-    if judged.any():
-        held = simulated[judged]
-        summits, _ = Episodes.of(cvae, *scaling.standard(held), held.episode).posteriors()
-        firsts = np.unique(held.episode, return_index=True)[1]
-        means, covariances = calibrated(means, summits[:, own], true[judged][firsts])
+    history = {"decoder": learned, "encoder": recognized}
+    if options.episodes is None:
+        means, covariances = Episodes.of(cvae, x, y, real.episode).posteriors()
+        means, covariances = means[:, own], covariances[:, own, own]
+    else:
+        means, covariances, history["episodes"] = episode_posteriors(
+            real, simulated, true, scaling, jax.random.fold_in(key, len(keys)), options.episodes,
+            lambda done, total: progress("training the encoder of episodes", done, total),
+        )  # fmt: skip
     centre, spread = population_draws(means, covariances, keys[3], NUM_DRAWS, varies)
     learned_prior = cvae.prior if isinstance(cvae.prior, LatentMixture) else None
     return Iteration(
@@ -228,7 +229,7 @@ def iterate(
         loc + sd * centre,
         sd * spread,
         divergences.mean(0),
-        {"decoder": learned, "encoder": recognized},
+        history,
     )
 
 

@@ -120,8 +120,8 @@ def optimize(
     elbo: Any,
     model: Callable,
     guide: Callable,
-    data: Sequence[Batch],
-    validation: Sequence[Batch],
+    data: Sequence[Float[Array, "_ ..."]],
+    validation: Sequence[Float[Array, "_ ..."]],
     key: PRNGKeyArray,
     schedule: Schedule,
     *,
@@ -129,7 +129,7 @@ def optimize(
     keep: Callable[[int, Mapping[str, Any]], None] = lambda *_: None,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> tuple[dict[str, Any], list[tuple[int, float, float]]]:
-    """The parameters with the least validation loss, and (step, training loss, validation loss) a transition."""
+    """The parameters with the least validation loss, and (step, training loss, validation loss) a row."""
     count = data[0].shape[0]
     size = min(schedule.batch, count)
     chunk = schedule.steps_between_checks(count)

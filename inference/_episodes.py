@@ -14,10 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from numpyro.infer import MCMC, NUTS
 
-from det2stoc_bayes.errors import SamplingFailed
 from det2stoc_bayes.inference._cvae import Cvae, normal
 
 STEPS = 60
@@ -36,14 +35,7 @@ class Episodes:
     @classmethod
     def of(cls, cvae: Cvae, x: np.ndarray, y: np.ndarray, episode: np.ndarray) -> "Episodes":
         """Rows sorted into episodes."""
-        names, counts = np.unique(episode, return_counts=True)
-        shape = (len(names), counts.max())
-        out = [np.zeros((*shape, x.shape[1]), np.float32), np.zeros((*shape, y.shape[1]), np.float32)]
-        weight = np.zeros(shape, np.float32)
-        for i, (name, count) in enumerate(zip(names, counts, strict=True)):
-            rows = episode == name
-            out[0][i, :count], out[1][i, :count], weight[i, :count] = x[rows], y[rows], 1.0
-        return cls(cvae, jnp.asarray(out[0]), jnp.asarray(out[1]), jnp.asarray(weight))
+        return cls(cvae, *padded(x, y, episode))
 
     def amortized(self) -> tuple[Float[Array, "episodes z"], Float[Array, "episodes z"]]:
         """Means and sds of the product of the transitions' evidence q / prior with one prior."""
@@ -64,6 +56,21 @@ class Episodes:
         first = one >= other
         z = jnp.where(first[:, None], z, z_other)
         return np.asarray(z, float), _inverse(np.asarray(jnp.where(first[:, None, None], fisher, fisher_other), float))
+
+
+def padded(
+    x: Float[np.ndarray, "rows x"], y: Float[np.ndarray, "rows y"], episode: Int[np.ndarray, " rows"]
+) -> tuple[Float[Array, "episodes steps x"], Float[Array, "episodes steps y"], Float[Array, "episodes steps"]]:
+    """Rows by episodes, in the order of their numbers, all as long as the longest; weight 0 marks padding."""
+    names, of, counts = np.unique(episode, return_inverse=True, return_counts=True)
+    order = np.argsort(of, kind="stable")
+    step = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
+    out = []
+    for rows in (x, y, np.ones((len(of), 1))):
+        filled = np.zeros((len(names), counts.max(), rows.shape[1]), np.float32)
+        filled[of[order], step] = rows[order]
+        out.append(jnp.asarray(filled))
+    return out[0], out[1], out[2][..., 0]
 
 
 def log_joint(
@@ -123,28 +130,6 @@ def _inverse(fisher: Float[np.ndarray, "episodes z z"]) -> Float[np.ndarray, "ep
     """Covariances in double precision: information is at least the prior's, whatever single precision made of it."""
     values, vectors = np.linalg.eigh(0.5 * (fisher + np.swapaxes(fisher, 1, 2)))
     return np.einsum("eij,ej,ekj->eik", vectors, 1.0 / np.maximum(values, 1.0), vectors)
-
-
-def calibrated(
-    summits: Float[np.ndarray, "episodes z"],
-    simulated: Float[np.ndarray, "simulations z"],
-    true: Float[np.ndarray, "simulations size"],
-) -> tuple[Float[np.ndarray, "episodes size"], Float[np.ndarray, "episodes size size"]]:
-    """Gaussian posteriors under N(0, I) of z, given summits, from how summits of simulated episodes followed theirs.
-
-    A decoder's likelihood multiplies its own errors over an episode and is surer than it may be; how far its summits
-    are off shows in episodes whose z is known: they are taken for normal about a line in z (synthetic likelihood: Wood
-    2010). Regressed the other way round, z on summits, chance makes some directions told less than nothing.
-    """
-    inputs = np.concatenate([true, np.ones((len(true), 1))], 1)
-    if len(true) < (least := inputs.shape[1] + simulated.shape[1]):
-        raise SamplingFailed(f"summits of {len(true)} simulated episodes calibrate none; allowed: {least} at least")
-    gain, *_ = np.linalg.lstsq(inputs, simulated)
-    left = simulated - inputs @ gain
-    scatter = left.T @ left / (len(true) - inputs.shape[1])
-    told = np.linalg.solve(scatter, gain[:-1].T)
-    covariance = np.linalg.inv(gain[:-1] @ told + np.eye(true.shape[1]))
-    return (summits - gain[-1]) @ told @ covariance, np.repeat(covariance[None], len(summits), 0)
 
 
 def population_draws(

@@ -22,6 +22,7 @@ VARIANTS = {
     "mixture of 3 as prior": Options(num_components=3),
 }
 ROTATIONS = "valid rotations"
+WIDER = 2.0  # than believed, where episodes are read: what a narrow simulation excludes, no episode tells any more
 VARIED_TURN = 2  # the third iteration, the source's last; variants are made of the first seed alone
 
 Told = dict[str, Any]
@@ -81,7 +82,10 @@ class Seed:
         """One turn of the algorithm, from psi_0 where nothing is believed yet."""
         settings = self.work.settings
         options = Options.decoding(settings.decoder_steps if turn else settings.first_steps)
-        return self._iterate(believed, turn, replace(options, num_calibrated=settings.num_calibrated))
+        if believed and settings.episode_steps:
+            believed = replace(believed, scale=WIDER * believed.scale)
+        episodes = Schedule(settings.episode_steps, batch=25, learning_rate=2e-3) if settings.episode_steps else None
+        return self._iterate(believed, turn, replace(options, episodes=episodes))
 
     def _iterate(self, believed: Population | None, turn: int, options: Options, decoder: Any = None) -> Iteration:
         psi, simulated = self._simulated(believed, turn) if believed else _first(self.work)

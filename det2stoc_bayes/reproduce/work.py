@@ -35,7 +35,7 @@ class Settings:
     num_alarm: int = 2_000  # episodes under each prior that the alarm is tried with; 0: it is not
     variants: bool = True  # what lies beyond the source's model
     baselines: tuple[int, ...] = (10, 100)  # episodes that each has
-    num_calibrated: int = 0  # simulated episodes of an iteration that calibrate episodes' posteriors
+    episode_steps: int = 0  # of training the encoder of whole episodes; 0: their posteriors are the decoder's
     num_particles: int = 0  # of each recorded episode's posterior by the simulator itself; 0: it is not drawn
 
 

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from det2stoc_bayes.inference._cvae import Cvae, standard_normal
-from det2stoc_bayes.inference._episodes import Episodes, _fisher, calibrated, log_marginal, population_draws
+from det2stoc_bayes.inference._episodes import Episodes, _fisher, log_marginal, population_draws
 
 GAIN = np.array([[1.0, 0.4], [-0.5, 0.8], [0.2, -0.6]], np.float32)
 NOISE = 0.5
@@ -120,44 +120,3 @@ def test_information_in_a_full_covariance():
     expected = [[0.5 * np.trace(inverse @ a @ inverse @ b) for b in slopes] for a in slopes]
     found = _fisher(Scaled(), jnp.asarray(z), jnp.zeros((1, 1)), jnp.ones(1))
     np.testing.assert_allclose(found, np.eye(2) + expected, rtol=1e-4)
-
-
-def test_what_a_decoder_is_sure_of_wrongly_is_calibrated():
-    """Summits half as far out as z, beside it, and off by more than is claimed: a regression knows all three."""
-    random = np.random.default_rng(4)
-    off = 0.6
-
-    def summits(z):
-        return 0.5 * z + [0.3, -0.2] + off * random.standard_normal(z.shape)
-
-    simulated, sample = random.standard_normal((4000, 2)), np.tile([[0.8, -0.5]], (30, 1))
-    means, covariances = calibrated(summits(sample), summits(simulated), simulated)
-    share = 0.5**2 / (0.5**2 + off**2)
-    np.testing.assert_allclose(covariances[0], (1 - share) * np.eye(2), atol=0.05)
-    np.testing.assert_allclose(means.mean(0), share * sample[0], atol=4 * np.sqrt(share * (1 - share) / 30))
-    mu, sigma = population_draws(means, covariances, jax.random.key(0))
-    assert (np.abs(mu.mean(0) - sample[0]) < 3 * mu.std(0)).all()
-    assert (np.quantile(sigma, 0.1, axis=0) < 0.3).all()  # all episodes are one
-    _, unaware = population_draws(means / share, 0.05 * covariances, jax.random.key(0))
-    assert (unaware.mean(0) > 2 * sigma.mean(0)).all()
-
-
-def test_chance_makes_no_direction_told_less_than_nothing():
-    """Summits that tell a tenth of z's variance, of 60 simulations: a likelihood that grows for ever has no population.
-
-    z regressed on summits leaves more than z's variance in some direction in most of these."""
-    for seed in range(200):
-        random = np.random.default_rng(seed)
-        simulated = random.standard_normal((60, 2))
-        summits = 0.33 * simulated + random.standard_normal((60, 2))
-        _, covariances = calibrated(summits[:1], summits, simulated)
-        assert (np.linalg.eigvalsh(covariances[0]) < 1 + 1e-9).all()
-
-
-def test_summits_that_tell_little_make_no_population_of_their_own():
-    random = np.random.default_rng(22)  # psi regressed on summits: sds of 263 and 388
-    simulated, true = random.standard_normal((60, 2)), 0.3 * random.standard_normal((10, 2))
-    followed, known = (0.33 * z + random.standard_normal(z.shape) for z in (true, simulated))
-    mu, sigma = population_draws(*calibrated(followed, known, simulated), jax.random.key(0), 500)
-    assert (np.abs(mu.mean(0)) < 4 * mu.std(0)).all()  # measured: 1.6 and 0.5
-    assert (sigma.mean(0) < 1.5).all() and (np.abs(mu) < 15).all()  # priors: half-normal of 1; sd of 3

@@ -18,7 +18,7 @@ from det2stoc_bayes.reproduce.yumi_pusher_exact import log_posterior, population
 from det2stoc_bayes.reproduce.yumi_pusher_scene import SCENE
 from det2stoc_bayes.transitions import Transitions
 
-TINY = Settings(1, 1, 20, 20, 200, 200, 200, 3, 40, 8, 0, False, (10,), num_calibrated=8, num_particles=8)
+TINY = Settings(1, 1, 20, 20, 200, 200, 200, 3, 40, 8, 0, False, (10,), episode_steps=40, num_particles=8)
 
 
 @pytest.fixture(scope="module")
