@@ -21,11 +21,16 @@ def episodes(count, random):
     change = tells[..., None] * (z @ GAIN.T)[:, None] + NOISE * random.standard_normal((count, STEPS, SIZE))
     state = np.concatenate([tells[..., None], random.standard_normal((count, STEPS, SIZE - 1))], -1)
     rows = count * STEPS
-    parts = (part.reshape(rows, -1) for part in (state, random.standard_normal((count, STEPS, 1)), change))
+    made = Transitions(
+        state.reshape(rows, SIZE),
+        random.standard_normal((rows, 1)),
+        change.reshape(rows, SIZE),
+        np.repeat(np.arange(count), STEPS),
+    )
     precision = np.eye(2) + tells.sum(1)[:, None, None] * GAIN.T @ GAIN / NOISE**2
     score = np.einsum("et,etc,cz->ez", tells, change, GAIN) / NOISE**2
     mean = np.linalg.solve(precision, score[..., None])[..., 0]
-    return z, Transitions(*parts, np.repeat(np.arange(count), STEPS)), mean, np.linalg.inv(precision)
+    return z, made, mean, np.linalg.inv(precision)
 
 
 @pytest.fixture(scope="module")
