@@ -14,7 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, PRNGKeyArray
 
-from det2stoc_bayes.inference._cvae import Cvae, HybridELBO, Schedule, normal, optimize, standard_normal
+from det2stoc_bayes.inference._cvae import (
+    VALIDATION,
+    Cvae,
+    HybridELBO,
+    Schedule,
+    held_back,
+    normal,
+    optimize,
+    standard_normal,
+)
 from det2stoc_bayes.inference._episode_encoder import episode_posteriors
 from det2stoc_bayes.inference._episodes import Episodes, population_draws
 from det2stoc_bayes.inference._latent import LatentMixture
@@ -24,7 +33,6 @@ from det2stoc_bayes.transitions import Scaling, Transitions
 
 Progress = Callable[[str, int, int], None]
 History = Sequence[tuple[int, float, float]]
-VALIDATION = 0.2  # share of rows that training does not see
 MOST_JUDGED = 20_000  # rows: a judgement on more costs more than it tells
 NUM_DRAWS = 1000
 
@@ -262,8 +270,7 @@ def _split(key: PRNGKeyArray, data: Transitions, *arrays: np.ndarray) -> tuple[l
     Of a single episode its end is held back.
     """
     episodes = np.unique(data.episode)
-    order = np.asarray(jax.random.permutation(key, len(episodes)))
-    held = np.isin(data.episode, episodes[order[: max(int(VALIDATION * len(episodes)), 1)]])
+    held = np.isin(data.episode, episodes[held_back(key, len(episodes))[1]])
     if len(episodes) == 1:
         held = np.arange(len(data)) >= (1 - VALIDATION) * len(data)
     judged = np.flatnonzero(held)

@@ -15,7 +15,7 @@ import numpy as np
 import numpyro
 import numpyro.distributions as dist
 import optax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 from numpyro.contrib.module import eqx_module
 from numpyro.handlers import seed, substitute, trace
 from numpyro.infer import SVI, Trace_ELBO
@@ -24,6 +24,7 @@ from det2stoc_bayes.errors import SamplingFailed
 from det2stoc_bayes.inference._latent import LatentMixture
 
 Batch = Float[Array, "_ _"]
+VALIDATION = 0.2  # share of episodes that training does not see
 
 
 def normal(mean: Float[Array, "*b size"], scale: Float[Array, "..."]) -> dist.Distribution:
@@ -114,6 +115,13 @@ class Schedule:
         """One at least."""
         often = self.epochs * num_rows / min(self.batch, num_rows)
         return max(int(min(self.num_steps // self.checks, often)), 1)
+
+
+def held_back(key: PRNGKeyArray, count: int) -> tuple[Int[np.ndarray, " shown"], Int[np.ndarray, " held"]]:
+    """Of so many episodes, in random order, those to learn from and those to judge by."""
+    order = np.asarray(jax.random.permutation(key, count))
+    held = max(int(VALIDATION * count), 1)
+    return order[held:], order[:held]
 
 
 def optimize(

@@ -18,13 +18,12 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from numpyro.contrib.module import eqx_module
 from numpyro.infer import Trace_ELBO
 
-from det2stoc_bayes.inference._cvae import Schedule, optimize
+from det2stoc_bayes.inference._cvae import Schedule, held_back, optimize
 from det2stoc_bayes.inference._episodes import padded
 from det2stoc_bayes.inference._networks import SkipMLP
 from det2stoc_bayes.transitions import Scaling, Transitions
 
 WIDTH, DEPTH, DROPOUT = 128, 2, 0.2
-VALIDATION = 0.2  # share of episodes that training does not see
 FIRST_SCALE = 0.1  # of a transition's evidence before training
 
 
@@ -71,9 +70,7 @@ def episode_posteriors(
     _, begins = np.unique(simulated.episode, return_index=True)
     true = jnp.asarray(z[begins], jnp.float32)
     known = (*padded(*scaling.standard(simulated), simulated.episode), true)
-    order = np.asarray(jax.random.permutation(split, len(begins)))
-    held = max(int(VALIDATION * len(begins)), 1)
-    judged, shown = ([a[rows] for a in known] for rows in (order[:held], order[held:]))
+    shown, judged = ([a[rows] for a in known] for rows in held_back(split, len(begins)))
     encoder = EpisodeEncoder(known[0].shape[-1], known[1].shape[-1], true.shape[1], first)
     params, history = optimize(
         Trace_ELBO(), partial(_model, encoder), lambda *_: None, shown, judged, train, schedule, progress=progress
