@@ -6,12 +6,12 @@ import pytest
 from conftest import make_study
 
 from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact.chances import alike, as_the_best
 from det2stoc_bayes.mismatch.contact.fit import at
 from det2stoc_bayes.mismatch.contact.flow import Ground, contact_flow
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.mimic import mimicking
 from det2stoc_bayes.mismatch.contact.pair import Pair
-from det2stoc_bayes.mismatch.contact.search import alike, as_the_best
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 

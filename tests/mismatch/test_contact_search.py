@@ -9,8 +9,8 @@ from conftest import make_study
 from sliding import PSI, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact import chances, rattle, search
 from det2stoc_bayes.mismatch.contact import screen as screening
-from det2stoc_bayes.mismatch.contact import search
 from det2stoc_bayes.mismatch.contact.fit import at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.judge import classes
@@ -140,6 +140,30 @@ def test_where_a_longer_memory_serves_no_held_out_recording_the_first_is_asked(
     if again:
         first = classes(one, np.random.default_rng(0))[0]
         assert first.members[0] is short and first.chance > 0.9
+
+
+@pytest.mark.parametrize("log_odds", [0.5, -10.0])
+def test_what_a_rivals_own_recordings_would_say_leaves_a_lead_no_name(followed, problem, pool, monkeypatch, log_odds):
+    """A lead of hundreds of nats is sure by likelihood; where simulations rattle that is not asked alone."""
+    drag, weight = named(pool, "linear_drag"), named(pool, "gravity_error")
+    base = pair_of(followed, [z_of(problem, 0.5 * TRUTH)])
+    right, wrong = (pair_of(followed, [z_of(problem, f * TRUTH), 0.0], e) for f, e in ((1.0, drag), (0.6, weight)))
+    weighed = (rattle.Rival(wrong, log_odds),)
+    monkeypatch.setattr(search, "bumps", lambda *_: 0.0)
+    monkeypatch.setattr(search, "_screened", lambda *_: [])
+    monkeypatch.setattr(search, "refined", lambda *_: [right])
+    monkeypatch.setattr(search, "near_remembered", lambda base, found, _: found)
+    monkeypatch.setattr(search, "better_base", lambda base, *_, longer: base)
+    monkeypatch.setattr(search, "smoothed", lambda base, found, *_: (found, search.LUCK))
+    monkeypatch.setattr(search, "earns", lambda *_: True)
+    monkeypatch.setattr(search, "rivals", lambda *_: weighed)
+    one = search.look(base, pool, quiet)
+    assert one.taken is right and one.refined == (right, wrong) and one.rivals == weighed
+    first, second = classes(one, np.random.default_rng(0))
+    assert first.members == (right,) and second.members == (wrong,)
+    assert second.chance / first.chance == pytest.approx(np.exp(log_odds), rel=1e-6)
+    monkeypatch.setattr(search, "rattles", lambda _: False)
+    assert search.look(base, pool, quiet).rivals == ()
 
 
 def test_a_missing_drag_is_screened_and_fitted(problem, followed, pool):
@@ -300,15 +324,15 @@ def test_a_lead_within_the_luck_of_fits_is_not_sure(followed, problem, pool):
     random = np.random.default_rng(0)
     for lead, low, high in ((2.5, 0.6, 0.95), (30.0, 0.999, 1.0)):
         better = gaining(base, base, np.full(len(base.losses), lead / len(base.losses)))
-        assert low < search.chances([better, base], random)[0] <= high
-    assert search.chances([base, base], random)[0] == pytest.approx(0.5, abs=0.05)
+        assert low < chances.chances([better, base], random)[0] <= high
+    assert chances.chances([base, base], random)[0] == pytest.approx(0.5, abs=0.05)
 
 
 def test_only_what_predicts_the_same_with_as_much_evidence_is_alike(followed, problem, pool):
     one = pair_of(followed, [z_of(problem, TRUTH), 0.1], named(pool, "linear_drag"))
-    assert search.alike(one, one)
+    assert chances.alike(one, one)
     behind = gaining(one, one, np.full(len(one.losses), -10.0 / len(one.losses)))
-    assert not search.alike(one, behind)
+    assert not chances.alike(one, behind)
     other = pair_of(followed, [z_of(problem, 0.8 * TRUTH), 0.1], named(pool, "linear_drag"))
     other.__dict__["height"] = one.height
-    assert not search.alike(one, other)
+    assert not chances.alike(one, other)

@@ -6,17 +6,19 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch.conflict import strained
+from det2stoc_bayes.mismatch.contact.chances import alike, chances
 from det2stoc_bayes.mismatch.contact.converged import no_surer_than_steps
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, paired, with_memory
 from det2stoc_bayes.mismatch.contact.scales import certainty
-from det2stoc_bayes.mismatch.contact.search import Round, alike, chances
+from det2stoc_bayes.mismatch.contact.search import Round
 from det2stoc_bayes.mismatch.contact.top import topped
 from det2stoc_bayes.mismatch.contact.yardstick import Yardstick, yardstick
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 from det2stoc_bayes.mismatch.undecided import unmoved
 
+MOST_ODDS = 50.0  # log; beyond them the leader has no chance anyway
 MOST_LEFT = 0.5  # of the excess error that a named effect may leave unexplained
 
 
@@ -120,23 +122,32 @@ def topped_pair(pair: Pair, seed: int) -> Pair:
 
 
 def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
-    """What could stand in a place, in classes that no sample tells apart, most probable first; the one taken leads."""
-    pairs = list(one.refined)
-    chance = chances(pairs, random, one.luck)
-    left = sorted(range(len(pairs)), key=lambda i: -chance[i])
-    found = []
-    while left:
-        best = left[0]
-        mine = [i for i in left if i == best or bool(alike(pairs[i], pairs[best], one.luck))]
-        left = [i for i in left if i not in mine]
-        fewest = min(pairs[i].placed.size for i in mine)
-        members = sorted(
-            (pairs[i] for i in mine if pairs[i].placed.size == fewest), key=lambda p: p.placed.effect.complexity
-        )
-        found.append(Class(tuple(members), float(sum(chance[i] for i in mine))))
-    taken = one.taken
-    found.sort(key=lambda c: (not any(p is taken for p in c.members), -c.chance))
+    """What could stand in a place, in classes that no sample tells apart, most probable first; the one taken leads.
+
+    Rivals that likelihood does not tell from what was taken have their odds against its class.
+    """
+    odds = {r.pair.placed: float(np.exp(min(r.log_odds, MOST_ODDS))) for r in one.rivals}
+    told = [p for p in one.refined if p.placed not in odds]
+    chance = dict(zip((p.placed for p in told), chances(told, random, one.luck), strict=True))
+    ranked = sorted(told, key=lambda p: -chance[p.placed])
+    ranked += sorted((r.pair for r in one.rivals), key=lambda p: -odds[p.placed])
+    groups: list[list[Pair]] = []
+    while ranked:
+        mine = [p for p in ranked if p is ranked[0] or bool(alike(p, ranked[0], one.luck))]
+        ranked = [p for p in ranked if p not in mine]
+        groups.append(mine)
+    each = np.array([sum(chance.get(p.placed, 0.0) for p in mine) for mine in groups])
+    lead = sum(c for c, mine in zip(each, groups, strict=True) if one.taken in mine)
+    each = np.maximum(each, [lead * max(odds.get(p.placed, 0.0) for p in mine) for mine in groups])
+    found = [Class(_simplest(mine), c) for mine, c in zip(groups, (each / each.sum()).tolist(), strict=True)]
+    found.sort(key=lambda c: (one.taken not in c.members, -c.chance))
     return tuple(found)
+
+
+def _simplest(pairs: list[Pair]) -> tuple[Pair, ...]:
+    """Those with the fewest parameters, in the order of their complexity."""
+    fewest = min(p.placed.size for p in pairs)
+    return tuple(sorted((p for p in pairs if p.placed.size == fewest), key=lambda p: p.placed.effect.complexity))
 
 
 def worst_column(verdict: Verdict) -> tuple[str, float]:

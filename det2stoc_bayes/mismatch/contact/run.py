@@ -11,12 +11,13 @@ from det2stoc_bayes.mismatch.contact.believed import believed
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import Followed
-from det2stoc_bayes.mismatch.contact.judge import Verdict, judged, topped_pair
+from det2stoc_bayes.mismatch.contact.judge import Verdict, classes, judged, topped_pair
 from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
 from det2stoc_bayes.mismatch.contact.top import widened
 from det2stoc_bayes.mismatch.contact.yardstick import SURELY, Yardstick, yardstick
+from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 from det2stoc_bayes.problem import Problem
@@ -50,6 +51,8 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         rod = None
         if one.taken is None:
             break
+        if one.rivals and classes(one, np.random.default_rng(seed))[0].chance < SURE:
+            break  # what else is missing depends on which of them it is
         progress("measuring what is left", 0, 1)
         base, rod = _measured(base, seed)
     progress("scoring held-out recordings", 0, 1)

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from det2stoc_bayes.mismatch.contact.chances import LEAST_NEAR, LUCK, as_the_best, best_of_each
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
-from det2stoc_bayes.mismatch.contact.mimic import apart, mimicking
 from det2stoc_bayes.mismatch.contact.pair import (
     SKETCH,
     Pair,
@@ -22,6 +21,7 @@ from det2stoc_bayes.mismatch.contact.pair import (
     without_last,
 )
 from det2stoc_bayes.mismatch.contact.polish import BUMPY, polished
+from det2stoc_bayes.mismatch.contact.rattle import Rival, rattles, rivals
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise, screen, some
@@ -38,14 +38,12 @@ ALSO = 0.3  # of what an effect's best trial promises: what another of them must
 BEGUN, DRAWN, FITTED = 0.2, 0.4, 0.6  # of the best's gain: who has less after a step, a sketch, some steps on all
 LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less is not fitted
 MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
-NEAR, LEAST_NEAR = 0.3, 30.0  # share of the best's gain, and nats, behind which none comes near any more
+NEAR = 0.3  # share of the best's gain behind which none comes near any more
 LEAST_CERTAIN = 3.0  # standard errors of the gain over blocks: of those fitted
 HELD_GAIN = 3.0  # nats of it on recordings held out
 TIMES = 3.0  # what chance gains at most
 NUM_CHANCES = 3  # data sets that the base itself makes
-LUCK = 2.0  # nats by which fits of the same hypothesis differ where the likelihood has no bumps
 MAX_EFFECTS = 3
-ALIKE = 0.05  # mean squared difference of predictions, in noise sds, of what no sample tells apart
 LOOK_AGAIN = 30.0  # nats of a leader, whose rivals are looked for once more where it ended,
 MOVED = 0.1  # if psi has moved by so many prior sds there: else they promise what they did
 Progress = Callable[[str, int, int], None]
@@ -60,6 +58,7 @@ class Round:
     refined: tuple[Pair, ...]
     taken: Pair | None
     luck: float = LUCK  # nats by which fits of the same hypothesis differ
+    rivals: tuple[Rival, ...] = ()  # of what was taken, which likelihood alone does not tell from it
 
 
 def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int = 0) -> Round:
@@ -77,12 +76,12 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     screened = _screened(ground, others, progress)
     least = LEAST_PROMISE * threshold(len(others))
     found = refined(first, ground, [s for s in screened if s.gain > least], first_luck, progress)
-    there = ground
+    there, latest = ground, screened
     if found and found[0].gain(first) > max(LOOK_AGAIN, first_luck):
         there = nearer(without_last(found[0], ground.followed.memory))
     if np.abs(there.z - ground.z).max(initial=0.0) > MOVED:
-        again = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
-        again = refined(first, there, [s for s in again if s.gain > least], first_luck, progress)
+        latest = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
+        again = refined(first, there, [s for s in latest if s.gain > least], first_luck, progress)
         found = best_of_each([*found, *again])
     base = better_base(first, found, first_luck, longer=False)
     if not found or found[0].gain(base) <= -first_luck:  # for additions are not beyond their bumps yet
@@ -92,8 +91,7 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     base = better_base(base, found, first_luck, longer=True)
     found, luck = smoothed(base, found, first_luck, progress, seed)
     base = base if first_luck >= BUMPY else beyond_bumps(base, luck)
-    rivals = [p.placed for p in found]
-    chance = partial(gain_by_chance, base, rivals, seed, progress, luck)  # which takes long, and is seldom asked for
+    chance = partial(gain_by_chance, base, [p.placed for p in found], seed, progress, luck)
     needed = max(threshold(len(others)), luck)
     taken = found[0] if earns(base, found[0], needed, chance) else None
     longer = found[0].fit.followed.memory > short[found[0].placed].fit.followed.memory
@@ -102,7 +100,11 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
         first = as_the_best(best_of_each([short[p.placed] for p in found]), luck)
         if first[0].placed == found[0].placed and earns(base, first[0], needed, chance):
             found, taken = first, first[0]
-    return Round(base, tuple(screened), tuple(found), taken, luck)
+    if taken is None or not rattles(base.fit):
+        return Round(base, tuple(screened), tuple(found), taken, luck)
+    weighed = rivals(taken, found, there, latest, luck, seed, progress)
+    tried = best_of_each([*found, *(r.pair for r in weighed)])
+    return Round(base, tuple(screened), tuple(tried), taken, luck, weighed)
 
 
 def beyond_bumps(pair: Pair, luck: float) -> Pair:
@@ -210,27 +212,6 @@ def smoothed(base: Pair, found: Sequence[Pair], luck: float, progress: Progress,
     return best_of_each([*alone, *(p for p in found if p not in near)]), luck
 
 
-def as_the_best(pairs: Sequence[Pair], luck: float = LUCK) -> list[Pair]:
-    """What can predict as the best does, where it does: equivalent effects would end nats apart, on other bumps."""
-    first, *others = pairs
-    out = [first]
-    for rival in others:
-        if rival.height <= first.height + LEAST_NEAR:
-            led = at(rival.fit.followed.remembering(first.fit.followed.memory), rival.fit.z)
-            same = paired(mimicking(led, first.fit), rival.held.followed)
-            rival = same if alike(same, first, luck) else rival
-        out.append(rival)
-    return out
-
-
-def best_of_each(pairs: Sequence[Pair]) -> list[Pair]:
-    """Of each addition the best fit alone, best first."""
-    first: dict[PlacedEffect, Pair] = {}
-    for pair in sorted(pairs, key=lambda p: p.height):
-        first.setdefault(pair.placed, pair)
-    return list(first.values())
-
-
 def earns(base: Pair, more: Pair, needed: float, chance: Callable[[float], float]) -> bool:
     """Whether an addition tells fitted and held-out recordings better than chance does.
 
@@ -274,25 +255,3 @@ def gain_by_chance(
         best = max([best, *(float(fit.losses.sum() - f.losses.sum()) for f in fits)])
     progress("measuring chance", NUM_CHANCES, NUM_CHANCES)
     return best
-
-
-def chances(
-    pairs: Sequence[Pair], random: np.random.Generator, luck: float = LUCK, count: int = 4000
-) -> Float[np.ndarray, " pairs"]:
-    """Chance of each hypothesis to tell recordings like these best, by the Bayesian bootstrap over recordings.
-
-    Fits from other starts end some nats apart: so much of a lead is luck.
-    """
-    _, groups = np.unique(pairs[0].owners, return_inverse=True)
-    losses = np.stack([np.bincount(groups, p.losses) for p in pairs], 1)
-    rest = np.array([p.height - p.losses.sum() for p in pairs])
-    weights = random.dirichlet(np.ones(len(losses)), count) * len(losses)
-    best = (weights @ losses + rest + luck * random.standard_normal((count, len(pairs)))).argmin(1)
-    return np.bincount(best, minlength=len(pairs)) / count
-
-
-def alike(a: Pair, b: Pair, luck: float = LUCK) -> Bool[np.ndarray, ""]:
-    """Whether two hypotheses predict the same, within a small part of the noise."""
-    if a.fit.followed.memory != b.fit.followed.memory or abs(a.height - b.height) > luck:
-        return np.asarray(False)
-    return np.asarray(apart(a.fit, b.fit) < ALIKE)

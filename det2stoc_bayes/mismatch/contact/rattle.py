@@ -1,0 +1,111 @@
+"""Hypotheses weighed by what recordings of their own would say, where simulations rattle.
+
+A simulation rattles otherwise than the body did, so that what rattles less is told better, right or wrong: less
+friction under the whole weight beats the buoyancy that was there. How far one hypothesis leads another is then no
+measure of their odds, but a number that either would give on recordings which it makes (Cox, 1961, tests of separate
+families of hypotheses; Wood, 2010, synthetic likelihood).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from det2stoc_bayes.mismatch.contact.chances import alike, as_the_best
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
+from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.mismatch.contact.pair import SKETCH, Pair, finished, sketched, with_memory
+from det2stoc_bayes.mismatch.contact.replicas import moved_freely
+from det2stoc_bayes.mismatch.contact.screen import Promise
+from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
+
+PROMISED = 0.5  # of what the leader promises: who promises less is no rival,
+MOST_RIVALS = 3  # nor who comes after so many
+NUM_MADE = 3  # sets of recordings that each hypothesis makes
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A hypothesis that another one leads, and its odds against that one (log)."""
+
+    pair: Pair
+    log_odds: float
+
+
+def rattles(fit: ContactFit) -> bool:
+    """Whether simulations move where the body does not: some column has no say, for no model tells it."""
+    heard = fit.followed.heard
+    return heard is not None and not heard.all()
+
+
+def rivals(
+    leader: Pair,
+    fitted: Sequence[Pair],
+    ground: ContactFit,
+    screened: Sequence[Promise],
+    luck: float,
+    seed: int,
+    progress: Callable[[str, int, int], None],
+) -> tuple[Rival, ...]:
+    """Those that promise much beside what the leader does, weighed against it.
+
+    One of more parameters is none: it may say the same. Some are `fitted` already; what predicts the same as the
+    leader is no rival. `ground` is where they were screened.
+    """
+    promised = next((s.gain for s in screened if s.placed == leader.placed), max((s.gain for s in screened), default=0))
+    others = [s for s in screened if s.placed != leader.placed and s.placed.size <= leader.placed.size]
+    worth = [s for s in others if s.gain > PROMISED * promised][:MOST_RIVALS]
+    if not worth:
+        return ()
+    memory, known = leader.fit.followed.memory, {p.placed: p for p in fitted}
+    led = at(ground.followed.remembering(memory), ground.z)
+    led.prepare()
+
+    def fit_of(promise: Promise) -> Pair:
+        if promise.placed in known:
+            return with_memory(known[promise.placed], memory)
+        return finished(sketched(led, promise), leader.held.followed, luck)
+
+    progress("weighing rivals", 0, 1 + len(worth))
+    pairs = side_by_side(led.problem, fit_of, worth)
+    pairs = [p for p in as_the_best([leader, *pairs], luck)[1:] if not alike(p, leader, luck)]
+    weighed = []
+    for k, pair in enumerate(pairs):
+        progress("weighing rivals", 1 + k, 1 + len(pairs))
+        weighed.append(Rival(pair, log_odds(leader.fit, pair.fit, luck, seed)))
+    progress("weighing rivals", 1, 1)
+    return tuple(weighed)
+
+
+def log_odds(leader: ContactFit, rival: ContactFit, luck: float, seed: int) -> float:
+    """Of a rival against its leader, by how far that leads on what was recorded and on what either of them makes.
+
+    Of few leads a predictive Student-t; they scatter by bumps, whose height (nats) is `luck`, at least. Where a
+    simulation diverges when nothing leads it, the lead itself is all there is.
+    """
+    for fit in (leader, rival):
+        fit.prepare()
+    makers = [(fit, np.random.default_rng([seed, 13, k])) for fit in (leader, rival) for k in range(NUM_MADE)]
+    made = [moved_freely(fit, random) for fit, random in makers]
+    count = np.isfinite(leader.problem.segments.values).sum()
+    whole = all(np.isfinite(m.problem.segments.values).sum() == count for m in made)
+    told = [leader.followed, *(m.remembering(leader.followed.memory) for m in made)] if whole else [leader.followed]
+    there, *leads = side_by_side(leader.problem, lambda followed: lead(leader, rival, followed), told)
+    if not whole:
+        return -there
+    of_each = np.array(leads).reshape(2, NUM_MADE)
+    scale = max(float(np.sqrt(of_each.var(1, ddof=1).mean())), luck) * np.sqrt(1 + 1 / NUM_MADE)
+    by_leader, by_rival = stats.t.logpdf(there, 2 * (NUM_MADE - 1), of_each.mean(1), scale)
+    return float(by_rival - by_leader)
+
+
+def lead(leader: ContactFit, rival: ContactFit, followed: Followed) -> float:
+    """Nats by which the leader is ahead on some recordings, both fitted to these."""
+    first, second = (
+        fit_followed(
+            followed.with_problem(followed.problem.with_effects(f.problem.effects)), f.z, iterations=SKETCH, like=f
+        )
+        for f in (leader, rival)
+    )
+    return second.loss - first.loss
