@@ -56,7 +56,8 @@ def test_odds_are_for_what_made_the_recordings_whoever_leads(followed, pool, fir
     first, second = (
         fit_followed(made.with_problem(made.problem.with_effects(f.problem.effects)), f.z) for f in (drag, weight)
     )
-    one, other = rattle.log_odds(first, second, 2.0, 0), rattle.log_odds(second, first, 2.0, 0)
+    own, others = (rattle.made_by(fit, 0) for fit in (first, second))
+    one, other = rattle.log_odds(first, second, own, others, 2.0), rattle.log_odds(second, first, others, own, 2.0)
     assert one == pytest.approx(-other, abs=1e-6)
     assert (one < -2) == first_made_them and (one > 2) != first_made_them
 
@@ -71,6 +72,7 @@ def test_who_promises_half_as_much_with_no_more_parameters_is_a_rival(followed, 
     monkeypatch.setattr(rattle, "sketched", lambda led, s: s)
     monkeypatch.setattr(rattle, "finished", lambda s, *_: fitted.append(s) or Pair(told(followed, s.placed, 0.2), own))
     monkeypatch.setattr(rattle, "log_odds", lambda *_: -1.0)
+    monkeypatch.setattr(rattle, "made_by", lambda *_: [])
     monkeypatch.setattr(rattle, "as_the_best", lambda pairs, _: pairs)
     assert pool["rotating_frame"].size > pool["linear_drag"].size == pool["sensor_bias"].size
 
@@ -95,21 +97,14 @@ def test_simulations_rattle_where_a_column_has_no_say(followed):
 
 
 def test_a_lead_that_a_rivals_own_recordings_give_is_no_proof(followed, pool, monkeypatch):
-    """A puck's less friction led its buoyancy by 101 nats; each led so on what either made."""
+    """A puck's less friction led its buoyancy by 101 nats; so it did on what either made."""
     leader, rival = (told(followed, pool[n], 0.1) for n in ("linear_drag", "gravity_error"))
-    of_each = {rival: iter([50.0, 110.0, 55.0]), leader: iter([162.0, 131.0, 198.0])}
-    made = {}
-
-    def moved(fit, random):
-        followed = moved_freely(fit, random)
-        made[id(followed.problem.segments)] = next(of_each[fit])
-        return followed
+    own, others = (rattle.made_by(fit, 0) for fit in (leader, rival))
+    leads = dict(zip([id(m.problem) for m in (*own, *others)], [162.0, 131.0, 198.0, 50.0, 110.0, 55.0], strict=True))
 
     def odds_at(observed):
-        of_each.update({rival: iter([50.0, 110.0, 55.0]), leader: iter([162.0, 131.0, 198.0])})
-        monkeypatch.setattr(rattle, "moved_freely", moved)
-        monkeypatch.setattr(rattle, "lead", lambda a, b, f: made.get(id(f.problem.segments), observed))
-        return rattle.log_odds(leader, rival, 6.0, 0)
+        monkeypatch.setattr(rattle, "lead", lambda a, b, followed: leads.get(id(followed.problem), observed))
+        return rattle.log_odds(leader, rival, own, others, 6.0)
 
     assert 0.7 < odds_at(101.3) < 1.1  # for the rival
     assert odds_at(118.0) == pytest.approx(0.0, abs=0.15)  # halfway between
@@ -124,5 +119,8 @@ def test_where_what_nothing_leads_diverges_the_lead_alone_is_asked(followed, poo
         made.problem.segments.values[0, 5:] = np.nan
         return made
 
+    own = rattle.made_by(leader, 0)
     monkeypatch.setattr(rattle, "moved_freely", diverged)
-    assert rattle.log_odds(leader, rival, 2.0, 0) == -rattle.lead(leader, rival, leader.followed)
+    others = rattle.made_by(rival, 0)
+    assert len(own) == rattle.NUM_MADE and others == []
+    assert rattle.log_odds(leader, rival, own, others, 2.0) == -rattle.lead(leader, rival, leader.followed)

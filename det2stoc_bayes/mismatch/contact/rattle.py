@@ -70,34 +70,40 @@ def rivals(
     progress("weighing rivals", 0, 1 + len(worth))
     pairs = side_by_side(led.problem, fit_of, worth)
     pairs = [p for p in as_the_best([leader, *pairs], luck)[1:] if not alike(p, leader, luck)]
-    weighed = []
+    made, weighed = made_by(leader.fit, seed), []
     for k, pair in enumerate(pairs):
         progress("weighing rivals", 1 + k, 1 + len(pairs))
-        weighed.append(Rival(pair, log_odds(leader.fit, pair.fit, luck, seed)))
+        weighed.append(Rival(pair, log_odds(leader.fit, pair.fit, made, made_by(pair.fit, seed), luck)))
     progress("weighing rivals", 1, 1)
     return tuple(weighed)
 
 
-def log_odds(leader: ContactFit, rival: ContactFit, luck: float, seed: int) -> float:
-    """Of a rival against its leader, by how far that leads on what was recorded and on what either of them makes.
+def made_by(fit: ContactFit, seed: int) -> list[Followed]:
+    """Sets of recordings that a hypothesis makes; none where its simulations diverge when nothing leads them."""
+    made = [moved_freely(fit, np.random.default_rng([seed, 13, k])) for k in range(NUM_MADE)]
+    recorded = np.isfinite(fit.problem.segments.values)
+    return made if all((np.isfinite(m.problem.segments.values) == recorded).all() for m in made) else []
 
-    Of few leads a predictive Student-t; they scatter by bumps, whose height (nats) is `luck`, at least. Where a
-    simulation diverges when nothing leads it, the lead itself is all there is.
+
+def log_odds(
+    leader: ContactFit, rival: ContactFit, by_leader: Sequence[Followed], by_rival: Sequence[Followed], luck: float
+) -> float:
+    """Of a rival against its leader, by how far that leads on what was recorded and on what either of them made.
+
+    Of few leads a predictive Student-t; they scatter by bumps, whose height (nats) is `luck`, at least. Where one of
+    them makes no recordings the lead itself is all there is.
     """
-    for fit in (leader, rival):
-        fit.prepare()
-    makers = [(fit, np.random.default_rng([seed, 13, k])) for fit in (leader, rival) for k in range(NUM_MADE)]
-    made = [moved_freely(fit, random) for fit, random in makers]
-    count = np.isfinite(leader.problem.segments.values).sum()
-    whole = all(np.isfinite(m.problem.segments.values).sum() == count for m in made)
-    told = [leader.followed, *(m.remembering(leader.followed.memory) for m in made)] if whole else [leader.followed]
+    leader.prepare()
+    rival.prepare()
+    each = [*by_leader, *by_rival] if by_leader and by_rival else []
+    told = [leader.followed, *(m.remembering(leader.followed.memory) for m in each)]
     there, *leads = side_by_side(leader.problem, lambda followed: lead(leader, rival, followed), told)
-    if not whole:
+    if not leads:
         return -there
-    of_each = np.array(leads).reshape(2, NUM_MADE)
+    of_each = np.array(leads).reshape(2, -1)
     scale = max(float(np.sqrt(of_each.var(1, ddof=1).mean())), luck) * np.sqrt(1 + 1 / NUM_MADE)
-    by_leader, by_rival = stats.t.logpdf(there, 2 * (NUM_MADE - 1), of_each.mean(1), scale)
-    return float(by_rival - by_leader)
+    by_first, by_second = stats.t.logpdf(there, 2 * (NUM_MADE - 1), of_each.mean(1), scale)
+    return float(by_second - by_first)
 
 
 def lead(leader: ContactFit, rival: ContactFit, followed: Followed) -> float:
