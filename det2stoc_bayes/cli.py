@@ -226,6 +226,7 @@ def reproduce(
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.", show_default=False)],
     quick: Annotated[bool, typer.Option("--quick", help="A look in minutes.")] = False,
+    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: two, one on a lone core or a GPU.")] = 0,
     seed: Seed = 0,
     as_json: Json = False,
     debug: Debug = False,
@@ -238,7 +239,7 @@ def reproduce(
 
         module = get_experiment(experiment)
         check_folder(out, "results.json", "report.html")
-        result = module.run(out, seed=seed, quick=quick, progress=stages)
+        result = module.run(out, seed=seed, quick=quick, jobs=jobs, progress=stages)
         atomic_write(out / "results.json", json.dumps(result))
         atomic_write(out / "report.html", module.page(result))
     show_report(result if as_json else tables.experiment_table(result), out, as_json)

@@ -11,7 +11,7 @@ import socket
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -31,7 +31,9 @@ Progress = Callable[[str, int, int], None]
 SECONDS = 5  # in which a scheduler answers
 PATIENCE = 60  # s, in which a first worker comes
 ADDRESS = re.compile(r"(tcp|tls)://(\[[^\]/\s]+\]|[^\s:/\[\]]+):\d{1,5}")
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+# Of BLAS, of XLA (its CPU client reads it when it starts) and of whatever asks joblib.
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "PJRT_NPROC", "LOKY_MAX_CPU_COUNT")
+BEAT = 2.0  # s
 GOES_ON = "what is finished is kept, and the same command goes on"
 _ALONE = Lock()
 
@@ -94,11 +96,15 @@ def workers(
 
 
 def finished[Item, Result](
-    executor: Executor, function: Callable[[Item], Result], items: Iterable[Item]
+    executor: Executor,
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    beat: Callable[[], None] = lambda: None,
 ) -> Iterator[tuple[Item, Callable[[], Result]]]:
     """Each item as its work ends, with what gives the result or raises what the work raised.
 
-    WorkersLost: processes were killed, or the cluster is gone. Items that wait are cancelled if the caller stops.
+    `beat` is called now and then meanwhile. WorkersLost: processes were killed, or the cluster is gone. Items that wait
+    are cancelled if the caller stops.
     """
     if isinstance(executor, Here):
         for item in items:
@@ -106,8 +112,11 @@ def finished[Item, Result](
         return
     waiting = {executor.submit(_alone, function, item): item for item in items}
     try:
-        for future in as_completed(list(waiting)):
-            yield waiting.pop(future), lambda done=future: result_of(done)
+        while waiting:
+            done, _ = wait(waiting, BEAT, FIRST_COMPLETED)
+            beat()
+            for future in done:
+                yield waiting.pop(future), lambda done=future: result_of(done)
     finally:
         for future in waiting:
             future.cancel()

@@ -15,6 +15,7 @@ import mujoco
 import mujoco.batch
 import numpy as np
 from jaxtyping import Float
+from joblib import cpu_count
 from scipy.spatial.transform import Rotation
 
 from det2stoc_bayes.engines.quiet import UNTIMED
@@ -74,7 +75,7 @@ def simulate(
 
 def prepared(model: mujoco.MjModel, psi: Float[np.ndarray, "episodes 3"], num_threads: int) -> mujoco.batch.Batch:
     """Simulations of the scene at its initial state, one a psi."""
-    batch = mujoco.batch.Batch(model, len(psi), num_threads)
+    batch = mujoco.batch.Batch(model, len(psi), num_threads or cpu_count())
     block = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "block")
     batch.expand("pair_friction").reshape(len(psi), -1)[:, :2] = psi[:, :1]
     batch.expand("body_pos").reshape(len(psi), model.nbody, 3)[:, block, 0] = psi[:, 1]

@@ -14,6 +14,7 @@ import mujoco
 import mujoco.batch
 import numpy as np
 from jaxtyping import Bool, Float
+from joblib import cpu_count
 from scipy.spatial.transform import Rotation
 
 from det2stoc_bayes.engines.quiet import UNTIMED
@@ -79,7 +80,7 @@ def drawn_starts(random: np.random.Generator, count: int) -> Float[np.ndarray, "
 
 def prepared(model: mujoco.MjModel, psi: Float[np.ndarray, "sims 2"], num_threads: int = 0) -> mujoco.batch.Batch:
     """Simulations of the scene, one a psi."""
-    batch = mujoco.batch.Batch(model, len(psi), num_threads)
+    batch = mujoco.batch.Batch(model, len(psi), num_threads or cpu_count())
     batch.expand("pair_friction").reshape(len(psi), model.npair, 5)[:, :, :2] = psi[:, :1, None]
     batch.expand("body_pos").reshape(len(psi), model.nbody, 3)[:, model.body("block").id, 0] = psi[:, 1]
     batch.set_const()

@@ -9,16 +9,13 @@ from jaxtyping import Bool, Float
 from det2stoc_bayes.mismatch.addition import add
 from det2stoc_bayes.mismatch.changes import Changes
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
+from det2stoc_bayes.mismatch.sharpen import leads, sharpened, unlike
 from det2stoc_bayes.optimize import Fit
 
 WRONG_SIGN = -0.69  # nats of a candidate whose coefficient has a sign that it cannot have
 MOST_PAIRED, MOST_TRIED = 40, 12  # candidates that are paired, and those of which all trials are
 NUM_SHARPENED = 12  # candidates about whose best trials others are tried
 NUM_STARTS = 5  # trials of each, from which the pattern search sets out
-ALIKE = 0.9  # cosine of what two trials change, from which on they are one neighbourhood
-REACHES = (0.6, 0.3, 0.15, 0.07)
-MOST_STEPS = 4  # at each of them
-WORTH_A_STEP = 1.0  # nats
 NUM_OTHERS = 3  # trials of an effect that are kept beside its best
 FORGOTTEN_EVERY = 32  # trials: what explains least is dropped, for responses are large
 
@@ -74,28 +71,16 @@ def screen(
 def _sharpened(trials: list[Screened], beside: "Beside", by_trial: Changes) -> list[Screened]:
     """An effect's trials and those to which a pattern search leads from the best that are unlike each other."""
     placed = trials[0].placed
-
-    def leads(trial: Trial) -> bool:
-        return len(placed.effect.about(trial, placed.typical, REACHES[0])) > 0
-
-    if not any(leads(s.trial) for s in trials):
+    leading = [t for t in placed.effect.trials(placed.typical) if leads(placed, t)]
+    if not leading:
         return trials
-    leading = [trial for trial in placed.effect.trials(placed.typical) if leads(trial)]
+
+    def about(s: Screened, reach: float) -> list[Screened]:
+        return _judged(placed, placed.effect.about(s.trial, placed.typical, reach), beside, by_trial)
+
     starts = _unlike(_judged(placed, leading, beside, by_trial), NUM_STARTS)
-    return _kept([*_unlike([_led(s, beside, by_trial) for s in starts], NUM_STARTS), *trials])
-
-
-def _led(start: Screened, beside: "Beside", by_trial: Changes) -> Screened:
-    """Where trials about one, closer and closer, lead."""
-    best, placed = start, start.placed
-    for reach in REACHES:
-        for _ in range(MOST_STEPS):
-            about = placed.effect.about(best.trial, placed.typical, reach)
-            ahead = max([best, *_judged(placed, about, beside, by_trial)], key=lambda s: s.log_evidence)
-            better, best = ahead.log_evidence - best.log_evidence, ahead
-            if better < WORTH_A_STEP:
-                break
-    return best
+    found = [sharpened(s, about, lambda s: s.log_evidence) for s in starts]
+    return _kept([*_unlike(found, NUM_STARTS), *trials])
 
 
 def _judged(placed: PlacedEffect, trials: Sequence[Trial], beside: "Beside", by_trial: Changes) -> list[Screened]:
@@ -105,18 +90,12 @@ def _judged(placed: PlacedEffect, trials: Sequence[Trial], beside: "Beside", by_
 
 
 def _unlike(tried: Sequence[Screened], most: int) -> list[Screened]:
-    """The best of all that change the prediction alike, best first; those that change nothing are passed over."""
-    out: list[Screened] = []
-    told: list[Float[np.ndarray, " values"]] = []
-    for s in sorted(tried, key=lambda s: -s.log_evidence):
-        change = np.zeros(0) if s.response is None else (s.response @ s.coefficients).ravel()
-        size = np.linalg.norm(change)
-        if size > 0 and all(change @ other < ALIKE * size for other in told):
-            out.append(s)
-            told.append(change / size)
-        if len(out) == most:
-            break
-    return out
+    """The best of all that change the prediction alike, best first."""
+
+    def change(s: Screened) -> Float[np.ndarray, " values"]:
+        return np.zeros(0) if s.response is None else (s.response @ s.coefficients).ravel()
+
+    return unlike(sorted(tried, key=lambda s: -s.log_evidence), change, most)
 
 
 def _kept(tried: Sequence[Screened]) -> list[Screened]:

@@ -1,12 +1,13 @@
 """An experiment on a scene: it is learned from few episodes by det2stoc and by a CVAE of its own, and scored."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.models._runs import Runs
@@ -15,10 +16,12 @@ from det2stoc_bayes.reproduce.populations import populations_table
 from det2stoc_bayes.reproduce.scene import Scene
 from det2stoc_bayes.reproduce.scene_figures import figures
 from det2stoc_bayes.reproduce.scores import NEIGHBOURS, known_oracle, population_oracle, rollout_scores, state_oracle
-from det2stoc_bayes.reproduce.seed_models import Seed
+from det2stoc_bayes.reproduce.seed_models import Seed, first_simulations, num_models
+from det2stoc_bayes.reproduce.side_by_side import num_jobs, side_by_side, silent
 from det2stoc_bayes.reproduce.work import Settings, Work
 
 PRIMARY = "matched"
+type Exact = Callable[[Work, int], dict[str, Any]]
 
 
 def run_scene(
@@ -28,23 +31,30 @@ def run_scene(
     out: Path,
     seed: int,
     progress: Progress,
+    jobs: int = 0,
     alarms: Callable[[Work], dict[str, Any]] = lambda _: {},
-    exact: Callable[[Work], list[dict[str, Any]]] = lambda _: [],
+    exact: Exact | None = None,
 ) -> dict[str, Any]:
     """Every model of every seed; each is kept in `out` as soon as it is done, and not done again.
 
-    `exact`: what the simulator itself says of each seed's recordings.
+    `exact`: what the simulator itself says of a seed's recordings. `jobs` processes make seeds, oracles and exact
+    posteriors side by side (0: two, if there are cores).
     """
     work = Work(out, scene, settings, seed, progress)
-    tested_psi = scene.reality.draw(work.random(0), settings.num_test)
-    tested = work.simulate(tested_psi, "simulating the test set", 0)
-    seeds = []
-    for number in range(settings.num_seeds):
-        models = Seed(work, number, *work.recorded(number), tested).models()
-        seeds.append({"seed": number, "models": models})
+    numbers = range(settings.num_seeds)
+    exact = exact if settings.num_particles else None
+    if (jobs := num_jobs(jobs)) > 1:
+        exactly = [("exact", n) for n in numbers if exact]
+        tasks = [*(("models", n) for n in numbers), ("oracles", 0), *exactly]
+        total = num_models(settings) + 1 + len(exactly) * scene.real_episodes[settings.num_iterations - 1]
+        first_simulations(work)
+        make = partial(_made, replace(work, progress=silent), exact)
+        side_by_side(make, tasks, jobs, progress, partial(work.count, total))
+    tested_psi, tested = _test_set(work)
+    seeds = [{"seed": n, "models": Seed(work, n, tested).models()} for n in numbers]
     found = rows(seeds, scene.source)
     oracles = work.kept("oracles", lambda: _oracles(work, tested_psi, tested))
-    exactly = exact(work)
+    exactly = [exact(work, n) for n in numbers] if exact else []
     simulators = {r["name"]: StochasticSimulator.load(work.saved(0, r["name"])) for r in found}
     return {
         "experiment": name,
@@ -64,6 +74,24 @@ def run_scene(
         "truth": {"mean": scene.reality.loc, "sd": scene.reality.scale},
         "figures": work.kept("figures", lambda: figures(scene, tested, tested_psi, simulators, work.random(5))),
     }  # fmt: skip
+
+
+def _made(work: Work, exact: Exact | None, task: tuple[str, int]) -> None:
+    """One of the tasks that do not need each other, in a process of its own; its parts are kept."""
+    kind, number = task
+    if kind == "exact" and exact is not None:
+        exact(work, number)
+        return
+    psi, tested = _test_set(work)
+    if kind == "models":
+        Seed(work, number, tested).models()
+    else:
+        work.kept("oracles", lambda: _oracles(work, psi, tested))
+
+
+def _test_set(work: Work) -> tuple[Float[np.ndarray, "episodes psi"], Runs]:
+    psi = work.scene.reality.draw(work.random(0), work.settings.num_test)
+    return psi, work.simulate(psi, "simulating the test set", 0)
 
 
 def rows(seeds: list[dict[str, Any]], source: Mapping[str, tuple[float, float]]) -> list[dict[str, Any]]:

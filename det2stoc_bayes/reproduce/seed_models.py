@@ -1,6 +1,7 @@
 """The models of one seed of an experiment: baselines, the algorithm's iterations, and what lies beyond the source's."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from det2stoc_bayes.inference._cvae import Schedule
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
 from det2stoc_bayes.models._runs import Runs
 from det2stoc_bayes.reproduce.scores import rolled_out, rollout_scores, transition_scores
-from det2stoc_bayes.reproduce.work import Work
+from det2stoc_bayes.reproduce.work import Settings, Work
 from det2stoc_bayes.transitions import Transitions
 
 MARGINAL = "det2stoc z integrated out"
@@ -34,9 +35,17 @@ class Seed:
 
     work: Work
     number: int
-    psi: Float[np.ndarray, "episodes psi"]
-    runs: Runs
     tested: Runs
+
+    @cached_property
+    def psi(self) -> Float[np.ndarray, "episodes psi"]:
+        """That its recordings were made with."""
+        return self.work.drawn(self.number)
+
+    @cached_property
+    def runs(self) -> Runs:
+        """Its recordings; what is kept needs none of them."""
+        return self.work.recorded(self.number)
 
     def models(self) -> dict[str, Told]:
         """All of them by name, each kept as soon as it is done."""
@@ -52,10 +61,10 @@ class Seed:
         work, found = self.work, {}
         options = Options(baseline=Schedule(work.settings.baseline_steps, batch=256, learning_rate=2e-3))
         for episodes in work.settings.baselines:
-            real = self.runs[:episodes].transitions
-            name = f"baseline {len(real)}"
+            name = f"baseline {episodes * work.scene.num_steps}"
 
-            def learn(real: Transitions = real, name: str = name) -> Told:
+            def learn(episodes: int = episodes, name: str = name) -> Told:
+                real = self.runs[:episodes].transitions
                 made, history = baseline(
                     real, len(work.scene.names), work.key(name, self.number), options, work.progress
                 )
@@ -88,7 +97,7 @@ class Seed:
         return self._iterate(believed, turn, replace(options, episodes=episodes))
 
     def _iterate(self, believed: Population | None, turn: int, options: Options, decoder: Any = None) -> Iteration:
-        psi, simulated = self._simulated(believed, turn) if believed else _first(self.work)
+        psi, simulated = self._simulated(believed, turn) if believed else first_simulations(self.work)
         believed = believed or Population.of(psi)
         each, key = np.repeat(psi, self.work.scene.num_steps, 0), self.work.key("iteration", self.number, turn)
         return iterate(self._real(turn), simulated, each, believed, key, options, self.work.progress, decoder)
@@ -138,6 +147,12 @@ class Seed:
         return {"real": real, "variant": False, "metrics": metrics}
 
 
+def num_models(settings: Settings) -> int:
+    """Of all seeds together."""
+    of_each = len(settings.baselines) + settings.num_iterations + 1
+    return settings.num_seeds * of_each + settings.variants * (len(VARIANTS) + 1)
+
+
 def _next(models: dict[str, Told], turn: int) -> Population:
     """What an iteration found, from which the next one simulates."""
     found = models[f"det2stoc {turn}"]["next"]
@@ -163,8 +178,8 @@ def told(found: Iteration) -> Told:
     }
 
 
-def _first(work: Work) -> tuple[Float[np.ndarray, "episodes psi"], Transitions]:
-    """psi_0 and its simulations."""
+def first_simulations(work: Work) -> tuple[Float[np.ndarray, "episodes psi"], Transitions]:
+    """psi_0 and its simulations, which all seeds have in common."""
     name = f"first_{work.asked['scene']}_{work.seed}_{work.settings.num_first}.npz"
     path = work.out / "parts" / name
     if not path.is_file():

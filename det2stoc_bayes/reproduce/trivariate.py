@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from det2stoc_bayes.inference._networks import Decoder, Encoder
 from det2stoc_bayes.models import trivariate
 from det2stoc_bayes.report.trivariate_page import trivariate_page as page
 from det2stoc_bayes.reproduce.parts import Progress, kept
+from det2stoc_bayes.reproduce.side_by_side import num_jobs, side_by_side, silent
 from det2stoc_bayes.transitions import Scaling, Transitions
 
 SHOWN = (0, 100, 500, 2000)  # steps at which the source shows the density
@@ -100,20 +102,31 @@ def train(seed: int, settings: Settings, progress: Callable[[int, int], None] = 
     return Trained(truth, scaling, first.with_params(params), snapshots)
 
 
-def run(out: Path, *, seed: int = 0, quick: bool = False, progress: Progress = lambda *_: None) -> dict[str, Any]:
+def run(
+    out: Path, *, seed: int = 0, quick: bool = False, jobs: int = 0, progress: Progress = lambda *_: None
+) -> dict[str, Any]:
     """Every Gaussian's divergences; each is kept in `out` as soon as it is done, and not done again."""
     settings = Settings.quick() if quick else Settings()
-    cases = []
-    for number in range(settings.num_gaussians):
+    numbers = range(settings.num_gaussians)
 
-        def step(done: int, total: int, number: int = number) -> None:
-            progress("training", number * total + done, settings.num_gaussians * total)
+    def count() -> None:
+        progress("examining Gaussians", len(list((out / "cases").glob("*.json"))), len(numbers))
 
-        def make(number: int = number, step=step) -> dict[str, Any]:
-            return {"number": number} | examine([seed, number], settings, step)
+    if (jobs := num_jobs(jobs)) > 1:
+        side_by_side(partial(_case, out, seed, settings, silent), numbers, jobs, progress, count)
+    return summary([_case(out, seed, settings, progress, number) for number in numbers], settings, seed)
 
-        cases.append(kept(out / "cases" / f"gaussian_{number:02d}.json", {"seed": seed, **asdict(settings)}, make))
-    return summary(cases, settings, seed)
+
+def _case(out: Path, seed: int, settings: Settings, progress: Progress, number: int) -> dict[str, Any]:
+    """A Gaussian's divergences, kept."""
+
+    def step(done: int, total: int) -> None:
+        progress("training", number * total + done, settings.num_gaussians * total)
+
+    def make() -> dict[str, Any]:
+        return {"number": number} | examine([seed, number], settings, step)
+
+    return kept(out / "cases" / f"gaussian_{number:02d}.json", {"seed": seed, **asdict(settings)}, make)
 
 
 def examine(seed: list[int], settings: Settings, progress: Callable[[int, int], None]) -> dict[str, Any]:

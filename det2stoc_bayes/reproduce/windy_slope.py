@@ -15,6 +15,8 @@ QUICK = Settings(1, 2, 300, 150, 1500, 1500, 1500, 10, 200, 20, 0, variants=Fals
 __all__ = ["page", "run"]
 
 
-def run(out: Path, *, seed: int = 0, quick: bool = False, progress: Progress = lambda *_: None) -> dict[str, Any]:
+def run(
+    out: Path, *, seed: int = 0, quick: bool = False, jobs: int = 0, progress: Progress = lambda *_: None
+) -> dict[str, Any]:
     """Results, as results.json holds them; what is done is kept in `out`."""
-    return run_scene("windy-slope", SCENE, QUICK if quick else FULL, out, seed, progress, alarms)
+    return run_scene("windy-slope", SCENE, QUICK if quick else FULL, out, seed, progress, jobs, alarms)

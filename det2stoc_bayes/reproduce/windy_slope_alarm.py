@@ -19,7 +19,7 @@ def alarms(work: Work) -> dict[str, Any]:
     """
     settings, out = work.settings, {}
     recorded = [
-        work.recorded(number, work.scene.real_episodes[0])[1].transitions
+        work.recorded(number, work.scene.real_episodes[0]).transitions
         for number in range(settings.num_seeds if settings.num_alarm else 0)
     ]
     for name, prior in PRIORS.items() if settings.num_alarm else ():

@@ -74,11 +74,18 @@ class Work:
         """Episodes; `what` names their randomness."""
         return self.scene.simulate(psi, self.random(STARTS, *what), partial(self.progress, stage))
 
-    def recorded(self, number: int, first: int | None = None) -> tuple[Float[np.ndarray, "episodes psi"], Runs]:
-        """psi and episodes of a seed's recordings, as many as any model of it learns from, or the first of them."""
+    def drawn(self, number: int) -> Float[np.ndarray, "episodes psi"]:
+        """psi of a seed's recordings, of as many as any model of it learns from."""
         count = max(*self.settings.baselines, *self.scene.real_episodes)
-        psi = self.scene.reality.draw(self.random(1, number), count)[:first]
-        return psi, self.simulate(psi, "simulating the recordings", 1, number)
+        return self.scene.reality.draw(self.random(1, number), count)
+
+    def recorded(self, number: int, first: int | None = None) -> Runs:
+        """A seed's recordings, or the first of them; other noise is theirs then."""
+        return self.simulate(self.drawn(number)[:first], "simulating the recordings", 1, number)
+
+    def count(self, total: int) -> None:
+        """Tells how many parts are there."""
+        self.progress("making parts", len(list((self.out / "parts").glob("*.json"))), total)
 
     def model(self, number: int, name: str, make) -> dict[str, Any]:
         """What is told of a seed's model."""

@@ -22,7 +22,9 @@ QUICK = Settings(
 __all__ = ["page", "run"]
 
 
-def run(out: Path, *, seed: int = 0, quick: bool = False, progress: Progress = lambda *_: None) -> dict[str, Any]:
+def run(
+    out: Path, *, seed: int = 0, quick: bool = False, jobs: int = 0, progress: Progress = lambda *_: None
+) -> dict[str, Any]:
     """Results, as results.json holds them; what is done is kept in `out`."""
     settings = QUICK if quick else FULL
-    return run_scene("yumi-pusher", SCENE, settings, out, seed, progress, exact=exact_posteriors)
+    return run_scene("yumi-pusher", SCENE, settings, out, seed, progress, jobs, exact=exact_posteriors)

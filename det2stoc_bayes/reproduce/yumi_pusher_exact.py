@@ -1,6 +1,7 @@
 """Posteriors of YuMi Pusher's recorded episodes by the simulator itself, by SMC, and of the population behind them."""
 
 from collections.abc import Callable
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -23,25 +24,22 @@ NUM_MOVES, NUM_LAST = 1, 1  # of a stage, and stages at the end: from a Student-
 EXACT = 10  # names the randomness
 
 
-def exact_posteriors(work: Work) -> list[dict[str, Any]]:
-    """By seed: what its recorded episodes and their population have, of those that the last iteration learns from."""
-    settings, out = work.settings, []
-    for number in range(settings.num_seeds if settings.num_particles else 0):
-        count = work.scene.real_episodes[settings.num_iterations - 1]
-        psi, runs = work.recorded(number, None)
-        episodes = []
-        for e in range(count):
-            recorded, what = runs[e : e + 1].transitions, (EXACT, number, e)
+def exact_posteriors(work: Work, number: int) -> dict[str, Any]:
+    """What a seed's recorded episodes and their population have, of those that the last iteration learns from."""
+    settings = work.settings
+    count = work.scene.real_episodes[settings.num_iterations - 1]
+    recorded, episodes = cache(partial(work.recorded, number)), []
+    for e in range(count):
 
-            def made(recorded: Transitions = recorded, what: tuple[int, ...] = what) -> dict[str, Any]:
-                return episode_posterior(recorded, settings.num_particles, work.random(*what), what[-1])
+        def made(e: int = e) -> dict[str, Any]:
+            random = work.random(EXACT, number, e)
+            return episode_posterior(recorded()[e : e + 1].transitions, settings.num_particles, random, e)
 
-            work.progress("drawing exact posteriors", number * count + e, settings.num_seeds * count)
-            episodes.append(work.kept(f"exact{number}_{e}", made))
-        told = {key: [episode[key] for episode in episodes] for key in ("mean", "covariance", "transitions")}
-        found = population(np.array(told["mean"]), np.array(told["covariance"]), work, number)
-        out.append({"drawn": psi[:count].tolist(), **told, "population": found})
-    return out
+        work.progress("drawing exact posteriors", number * count + e, settings.num_seeds * count)
+        episodes.append(work.kept(f"exact{number}_{e}", made))
+    told = {key: [episode[key] for episode in episodes] for key in ("mean", "covariance", "transitions")}
+    found = population(np.array(told["mean"]), np.array(told["covariance"]), work, number)
+    return {"drawn": work.drawn(number)[:count].tolist(), **told, "population": found}
 
 
 def episode_posterior(

@@ -16,11 +16,13 @@ from det2stoc_bayes.mismatch.contact.led_response import LedResponse, foretells
 from det2stoc_bayes.mismatch.contact.regions import likeliest_border
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
+from det2stoc_bayes.mismatch.sharpen import leads, sharpened, unlike
 
 SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
 WIDE = (10.0, 100.0)  # times, of what is to first order: small ones end within a contact's kink
 SOME = 3  # one of so many recordings is looked at where it takes simulations, and has its say as often
 KEPT = 2  # trials of an effect that are kept
+NUM_STARTS = 4  # of them, from which a pattern search sets out
 MOST_HELD = 2_000_000  # numbers of what trials change that are held at once
 
 
@@ -94,9 +96,33 @@ def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[P
         of_trial = [[p for p, (t, _) in zip(each, sized, strict=True) if t is trial] for trial in trials]
         found = [max(mine, key=lambda p: p.gain) for mine in of_trial]
     else:
-        changes = _changes(led.lessened, placed, [(t, 1.0) for t in trials], room)
-        found = [_promised(fit, placed, t, own, 1.0) for t, own in zip(trials, changes, strict=True)]
+        found = _searched(fit, led, placed, trials, room)
     return sorted(found, key=lambda p: -p.gain)[:KEPT]
+
+
+def _searched(fit: ContactFit, led: LedResponse, placed: PlacedEffect, trials: list[Trial], room: int) -> list[Promise]:
+    """What trials promise, and those to which a pattern search leads from the best that are unlike each other."""
+    type Tried = tuple[Promise, Trial]
+
+    def judged(trials: Sequence[Trial]) -> list[Tried]:
+        changes = _changes(led.lessened, placed, [(t, 1.0) for t in trials], room)
+        return [(_promised(fit, placed, t, own, 1.0), t) for t, own in zip(trials, changes, strict=True)]
+
+    def gain(tried: Tried) -> float:
+        return tried[0].gain
+
+    def about(tried: Tried, reach: float) -> list[Tried]:
+        return judged(placed.effect.about(tried[1], placed.typical, reach))
+
+    def change(tried: Tried) -> Float[np.ndarray, " values"]:
+        return fit.weighed(led.lessened(placed, [tried[0].values])).ravel()
+
+    found = judged(trials)
+    if leading := [tried for tried in found if leads(placed, tried[1]) and gain(tried) > 0]:
+        starts = unlike(sorted(leading, key=gain, reverse=True), change, NUM_STARTS)
+        sharp = sorted((sharpened(s, about, gain) for s in starts), key=gain, reverse=True)
+        found = [*unlike(sharp, change, KEPT), *(tried for tried in found if tried not in leading)]
+    return [promise for promise, _ in found]
 
 
 def _judged(few: ContactFit, placed: PlacedEffect) -> list[Promise]:
