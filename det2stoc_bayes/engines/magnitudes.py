@@ -22,10 +22,11 @@ class Magnitudes:
             name: [] for name in ("qpos", "qvel", "force", "inertia", "body_speed", "body_spin", "body_force", "place")
         } | {name: [] for name in ("sensordata", "ctrl", "actuator_force", "actuator_velocity")}
         segments = problem.segments
-        steps = max(MAX_STEPS // segments.count, 50)
+        some = range(0, segments.count, max(1, segments.count // 12))
+        steps = max(MAX_STEPS // len(some), 50)
         commands = segments.commands(np.arange(segments.count), self.model.opt.timestep, steps).each
         model = self._at_median()
-        for s in range(0, segments.count, max(1, segments.count // 12)):
+        for s in some:
             self._simulate(model, s, min(steps, int(segments.steps(model.opt.timestep)[s])), commands[s])
         self.arrays = {name: np.array(rows) for name, rows in self._track.items()}
 

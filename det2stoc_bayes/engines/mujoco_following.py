@@ -77,7 +77,7 @@ class Follower:
         ctrl = self.ctrl[:, begin : step + 1]
         items = [n for n in self.live if n != "sensordata"]
         if self.stepper is not None:
-            record = self.stepper.run(ctrl, sorted(self.live))
+            record = self.stepper.run(ctrl, sorted(self.live), closing=self.sensors)
         else:
             record = self.chunk.roll(ctrl, set(self.live))
         for n in items:
@@ -93,12 +93,14 @@ class Follower:
     def _lead(self, j: int, rows: Int[np.ndarray, " rows"], columns: np.ndarray, states: dict) -> None:
         """Read off sample j of some simulations, and correct their states by it."""
         chunk, at = self.chunk, self.at[rows, j]
-        columns[rows, j] = chunk.readings.of(self._read, rows, slice(j, j + 1))[:, 0]
+        there = {n: self._between(n, rows, at) for n in self.live}
+        straight, readings = chunk.readings.straight, chunk.readings
+        columns[rows, j] = readings.at_once(there) if straight else readings.of(self._read, rows, slice(j, j + 1))[:, 0]
         values = self.values[rows, j] + (columns[rows, j] if self.drawn else 0.0)
         error = self.places.errors(columns[rows, j], values)
         error = np.where(self.seen[rows, j] & (np.abs(error) < 1e6), error, 0.0)
         gain = self.gains[rows, j]
-        there = {n: self._between(n, rows, at) for n in states}
+        there.pop("sensordata", None)
         place, push = corrected(self.model, there["qpos"], gain, error)
         for n, value in {**there, "qpos": place, "qvel": there["qvel"] + push}.items():
             states[n][rows, j] = value

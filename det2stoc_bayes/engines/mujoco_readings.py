@@ -1,6 +1,6 @@
 """What recorded columns show of simulated states: sensors that are late, biased or scaled among them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -34,6 +34,14 @@ class Readings:
                 self._sensed.append((j, address, mine))
             else:
                 self._plain.setdefault(address.source, []).append((j, address.index))
+        self.straight = not self._sensed  # whether columns are numbers of the state as it is
+
+    def at_once(self, states: Mapping[str, Float[np.ndarray, "rows _"]]) -> Float[np.ndarray, "rows columns"]:
+        """A sample of simulations from their states at its time, where columns are `straight`."""
+        out = np.empty((len(next(iter(states.values()))), len(self.segments.columns)))
+        for source, here in self._plain.items():
+            out[:, [j for j, _ in here]] = states[source][:, [index for _, index in here]]
+        return out
 
     def of(
         self, between: Between, rows: Int[np.ndarray, " rows"], samples: slice

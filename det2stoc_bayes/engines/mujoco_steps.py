@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from det2stoc_bayes.engines import drive
 from det2stoc_bayes.engines.base import EffectRows
 from det2stoc_bayes.engines.layout import integrate_positions
-from det2stoc_bayes.engines.places import DERIVED, bodies_of, body_state
+from det2stoc_bayes.engines.places import DERIVED, Body, bodies_of, body_of, body_state
 from det2stoc_bayes.mismatch.effects.base import BodyState, JointState
 
 _NONE, _VEL = mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL
@@ -33,6 +33,7 @@ class Stepper:
         stepped = [e for e in effects if is_stepped(e)]
         self.momentary = [e for e in stepped if e.placed.effect.writes]
         self.pushed = [e for e in stepped if e.placed.effect.uses("body_force")]
+        self.bodies = {id(e): [body_of(model, b) for b in bodies_of(model, e.placed.element)] for e in self.pushed}
         self.forced = [e for e in stepped if e.placed.effect.uses("joint_force")]
         # A force is held over a step. RK4 weighs the whole step, so its state is taken at the middle (a force along an
         # arm would turn it otherwise, drag would come late); the Euler integrators take every force at the beginning.
@@ -61,9 +62,12 @@ class Stepper:
         return {name: self.batch.expand(name) for name in sorted(names)}
 
     def run(
-        self, commands: Float[np.ndarray, "sims _ nu"], items: Sequence[str]
+        self, commands: Float[np.ndarray, "sims _ nu"], items: Sequence[str], *, closing: bool = True
     ) -> dict[str, Float[np.ndarray, "sims steps _"]]:
-        """Arrays after every step, sensors as they are before it; commands reach one step beyond the last."""
+        """Arrays after every step, sensors as they are before it; commands reach one step beyond the last.
+
+        `closing`: forces are those of the last state then, as its sensors want them.
+        """
         batch, num_steps = self.batch, commands.shape[1] - 1
         live = {name: batch.bind(name) for name in items}
         out = {name: np.empty((len(self.qpos), num_steps, array.shape[1])) for name, array in live.items()}
@@ -83,8 +87,9 @@ class Stepper:
                 out[name][:, k] = array
             if apart:
                 self._place()
-        self.prepare(commands[:, num_steps])
-        self._keep()
+        if closing:
+            self.prepare(commands[:, num_steps])
+            self._keep()
         return out
 
     def _keep(self) -> None:
@@ -148,11 +153,11 @@ class Stepper:
             if at.source:
                 self.force[e.rows, at.source_dof] += effect.reaction(e.parameters, state, np)
         for e in self.pushed:
-            for body in bodies_of(self.model, e.placed.element):
+            for body in self.bodies[id(e)]:
                 effect, state = e.placed.effect, self._body_state(e, body)
-                self.wrench[e.rows, body, :3] += effect.body_force(e.parameters, state, np)
+                self.wrench[e.rows, body.number, :3] += effect.body_force(e.parameters, state, np)
                 if effect.uses("body_torque"):
-                    self.wrench[e.rows, body, 3:] += effect.body_torque(e.parameters, state, np)
+                    self.wrench[e.rows, body.number, 3:] += effect.body_torque(e.parameters, state, np)
 
     def _place(self) -> None:
         """Velocities and places of bodies for the step that begins; RK4's in its middle."""
@@ -202,11 +207,11 @@ class Stepper:
             self.laws[key] = drive.law_of(self.model, at, lambda name: self.fields[name][rows].copy())
         return self.laws[key]
 
-    def _body_state(self, e: EffectRows, body: int) -> BodyState:
+    def _body_state(self, e: EffectRows, body: Body) -> BodyState:
         rows = e.rows
         derived, shaped = ({n: a[rows] for n, a in arrays.items()} for arrays in (self.derived, self.shaped))
         heavy = e.placed.effect.uses("body_torque")
-        return body_state(self.model, body, derived, shaped, self.time[rows] + self.lead[rows], heavy)
+        return body_state(body, derived, shaped, self.time[rows] + self.lead[rows], heavy)
 
     def _shaped(self) -> dict[str, np.ndarray]:
         """Fields that forces on bodies look at, simulations first."""

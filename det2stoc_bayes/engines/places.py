@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import mujoco.batch
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from det2stoc_bayes.engines.quiet import QUIET, UNTIMED
 from det2stoc_bayes.mismatch.effects.base import BodyState, Element
@@ -23,6 +23,22 @@ def bodies_of(model: mujoco.MjModel, at: Element) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True, eq=False)
+class Body:
+    """What of a body does not move: its number, its tree's root, its geoms and their shapes."""
+
+    number: int
+    root: int
+    geoms: Int[np.ndarray, " geoms"]
+    shapes: tuple[int, ...]
+
+
+def body_of(model: mujoco.MjModel, number: int) -> Body:
+    """A body of the model."""
+    geoms = np.flatnonzero(model.geom_bodyid == number)
+    return Body(number, int(model.body_rootid[number]), geoms, tuple(int(t) for t in model.geom_type[geoms]))
+
+
+@dataclass(frozen=True, eq=False)
 class Places:
     """MuJoCo's derived quantities of some states, and the fields of KINDS; first axis the states'."""
 
@@ -32,13 +48,13 @@ class Places:
 
     def body_state(self, body: int, time: Float[np.ndarray, " states"]) -> BodyState:
         """What a force on this body sees."""
-        return body_state(self.model, body, self.derived, self.fields, time)
+        return body_state(body_of(self.model, body), self.derived, self.fields, time)
 
     def on_joints(
         self, body: int, force: Float[np.ndarray, "states 3"], torque: Float[np.ndarray, "states 3"] | None = None
     ) -> Float[np.ndarray, "states nv"]:
         """The generalized force of a force at the body's centre of mass, and of a torque."""
-        chain, lever = np.zeros(self.model.nv, bool), _lever(self.model, body, self.derived)
+        chain, lever = np.zeros(self.model.nv, bool), _lever(body_of(self.model, body), self.derived)
         while body > 0:
             chain |= self.model.dof_bodyid == body
             body = self.model.body_parentid[body]
@@ -50,8 +66,7 @@ class Places:
 
 
 def body_state(
-    model: mujoco.MjModel,
-    body: int,
+    body: Body,
     derived: Mapping[str, np.ndarray],
     fields: Mapping[str, np.ndarray],
     time: Float[np.ndarray, " states"],
@@ -61,20 +76,19 @@ def body_state(
 
     Its inertia costs most and is wanted for torques alone: it is left out of what is not `heavy`.
     """
-    spin, geoms = derived["cvel"][:, body, :3], np.flatnonzero(model.geom_bodyid == body)
-    velocity = derived["cvel"][:, body, 3:] + cross(spin, _lever(model, body, derived), np)
-    shapes = tuple(int(t) for t in model.geom_type[geoms])
+    own, spin = body.number, derived["cvel"][:, body.number, :3]
+    velocity = derived["cvel"][:, own, 3:] + cross(spin, _lever(body, derived), np)
     inertia = 0.0
     if heavy:
-        axes = derived["ximat"][:, body].reshape(-1, 3, 3)
-        inertia = (axes * fields["body_inertia"][:, body, None, :]) @ np.swapaxes(axes, 1, 2)
-    mass, position = fields["body_mass"][:, body], derived["xipos"][:, body]
-    return BodyState(velocity, time, spin, shapes, fields["geom_size"][:, geoms], position, mass, inertia)
+        axes = derived["ximat"][:, own].reshape(-1, 3, 3)
+        inertia = (axes * fields["body_inertia"][:, own, None, :]) @ np.swapaxes(axes, 1, 2)
+    mass, position = fields["body_mass"][:, own], derived["xipos"][:, own]
+    return BodyState(velocity, time, spin, body.shapes, fields["geom_size"][:, body.geoms], position, mass, inertia)
 
 
-def _lever(model: mujoco.MjModel, body: int, derived: Mapping[str, np.ndarray]) -> np.ndarray:
+def _lever(body: Body, derived: Mapping[str, np.ndarray]) -> np.ndarray:
     """From the point at which MuJoCo tells velocities to the body's centre of mass."""
-    return derived["xipos"][:, body] - derived["subtree_com"][:, model.body_rootid[body]]
+    return derived["xipos"][:, body.number] - derived["subtree_com"][:, body.root]
 
 
 def places(

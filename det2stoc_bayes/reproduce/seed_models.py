@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.files import replacing
 from det2stoc_bayes.inference._amortized import Iteration, Options, Population, baseline, iterate, marginal
 from det2stoc_bayes.inference._cvae import Schedule
 from det2stoc_bayes.inference._stochastic import StochasticSimulator
@@ -103,7 +102,7 @@ class Seed:
         return iterate(self._real(turn), simulated, each, believed, key, options, self.work.progress, decoder)
 
     def _real(self, turn: int) -> Transitions:
-        return self.runs[: self.work.scene.real_episodes[turn]].transitions
+        return self.work.real(self.number)[: self.work.scene.real_episodes[turn]].transitions
 
     def _simulated(self, believed: Population, turn: int) -> tuple[Float[np.ndarray, "episodes psi"], Transitions]:
         """psi of a population, and episodes under them."""
@@ -180,12 +179,11 @@ def told(found: Iteration) -> Told:
 
 def first_simulations(work: Work) -> tuple[Float[np.ndarray, "episodes psi"], Transitions]:
     """psi_0 and its simulations, which all seeds have in common."""
-    name = f"first_{work.asked['scene']}_{work.seed}_{work.settings.num_first}.npz"
-    path = work.out / "parts" / name
-    if not path.is_file():
+
+    def made() -> dict[str, np.ndarray]:
         psi = work.scene.prior.draw(work.random(3), work.settings.num_first)
         runs = work.simulate(psi, "simulating psi_0", 3)
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, psi=psi, states=runs.states, actions=runs.actions)
-    data = np.load(path)
+        return {"psi": psi, "states": runs.states, "actions": runs.actions}
+
+    data = work.arrays(f"first_{work.settings.num_first}", made)
     return data["psi"], Transitions.of_episodes(data["states"], data["actions"])

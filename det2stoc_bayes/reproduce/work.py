@@ -1,6 +1,7 @@
 """How much of an experiment on a scene is done, and what all parts of a run share."""
 
 import zlib
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import version
@@ -11,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
+from det2stoc_bayes.files import replacing
 from det2stoc_bayes.models._runs import Runs
 from det2stoc_bayes.reproduce.parts import Progress, kept
 from det2stoc_bayes.reproduce.scene import Scene
@@ -82,6 +84,24 @@ class Work:
     def recorded(self, number: int, first: int | None = None) -> Runs:
         """A seed's recordings, or the first of them; other noise is theirs then."""
         return self.simulate(self.drawn(number)[:first], "simulating the recordings", 1, number)
+
+    def real(self, number: int) -> Runs:
+        """Those of a seed's recordings that det2stoc learns from, as they were measured."""
+        runs = self.arrays(f"real{number}_{len(self.drawn(number))}", lambda: self._measured(number))
+        return Runs(runs["states"], runs["actions"], np.zeros((*runs["states"].shape[:2], 0)))
+
+    def _measured(self, number: int) -> dict[str, np.ndarray]:
+        runs = self.recorded(number)[: max(self.scene.real_episodes)]
+        return {"states": runs.states, "actions": runs.actions}
+
+    def arrays(self, name: str, make: Callable[[], dict[str, np.ndarray]]) -> Mapping[str, np.ndarray]:
+        """Arrays that were made before with this seed and scene, or are made and written now."""
+        path = self.out / "parts" / f"{name}_{self.asked['scene']}_{self.seed}.npz"
+        if not path.is_file():
+            made = make()
+            with replacing(path) as temporary, temporary.open("wb") as file:
+                np.savez(file, **made)
+        return np.load(path)
 
     def count(self, total: int) -> None:
         """Tells how many parts are there."""

@@ -17,7 +17,7 @@ from det2stoc_bayes.models.yumi_pusher_likelihood import mode
 from det2stoc_bayes.reproduce.work import Work
 from det2stoc_bayes.transitions import Transitions
 
-STARTS = (12, 500)  # that each psi is tried from, and that covariances are found from
+STARTS = (8, 500)  # that each psi is tried from, and that covariances are found from
 QUICK, QUICKLY = 20, (4, 100)  # so few particles have so few starts
 TARGET_ESS = 0.7  # share of particles after a stage
 NUM_MOVES, NUM_LAST = 1, 1  # of a stage, and stages at the end: from a Student-t at the mode two lead to the posterior
@@ -28,7 +28,7 @@ def exact_posteriors(work: Work, number: int) -> dict[str, Any]:
     """What a seed's recorded episodes and their population have, of those that the last iteration learns from."""
     settings = work.settings
     count = work.scene.real_episodes[settings.num_iterations - 1]
-    recorded, episodes = cache(partial(work.recorded, number)), []
+    recorded, episodes = cache(partial(work.real, number)), []
     for e in range(count):
 
         def made(e: int = e) -> dict[str, Any]:

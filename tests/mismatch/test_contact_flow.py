@@ -1,5 +1,8 @@
 """A thrown box: what contact does to the uncertainty of its state, and what that does to the likelihood of a model."""
 
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,7 +11,7 @@ from conftest import make_study
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.chances import alike, as_the_best
 from det2stoc_bayes.mismatch.contact.fit import at
-from det2stoc_bayes.mismatch.contact.flow import Ground, contact_flow
+from det2stoc_bayes.mismatch.contact.flow import Ground, Once, contact_flow
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.mimic import mimicking
 from det2stoc_bayes.mismatch.contact.pair import Pair
@@ -121,6 +124,23 @@ def test_other_regards_of_the_same_ground_are_as_if_found_alone(problem):
     for one, other in zip(gains[:2], gains[2:], strict=True):
         np.testing.assert_array_equal(one, other)
     assert not np.array_equal(gains[0], gains[1])
+
+
+def test_what_threads_ask_for_is_made_once_and_other_things_meanwhile(problem):
+    """Each waits for the other's to begin: one after the other they would wait for ever."""
+    once, made, begun = Once(), [], Barrier(2, timeout=10)
+
+    def ask(memory):
+        def make():
+            begun.wait()
+            made.append(memory)
+            return memory
+
+        return once(problem.segments, memory, make)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(ask, (6.0, 12.0, 6.0, 12.0))) == [6.0, 12.0, 6.0, 12.0]
+    assert sorted(made) == [6.0, 12.0] and len(once) == 2
 
 
 def test_some_recordings_are_led_as_among_all(problem):

@@ -477,6 +477,22 @@ def test_sensitivities_that_are_known_nearby_are_not_found_anew():
     np.testing.assert_array_equal(again, columns)
 
 
+@pytest.mark.parametrize("room", [0.1, 0.16, 0.3])
+def test_beside_a_wall_slopes_are_over_what_is_left_of_a_step(room):
+    waves, z = Waves(), np.zeros(2)
+    object.__setattr__(waves, "floor", np.array([-np.inf, -room]))
+    columns, _ = columns_of(waves, z, waves.errors(z[None])[0], np.array([STEPS[-1], STEPS[0]]))
+    np.testing.assert_allclose(columns[0, :, 0, 1], 3.0, rtol=1e-9)
+
+
+def test_sensitivities_of_other_recordings_serve_for_none(fit):
+    other = replicated(fit, np.random.default_rng(1))
+    same = fit.followed.on(fit.problem.simulator.study.recordings)
+    assert fit.followed.leads_as(same) and not fit.followed.leads_as(other)
+    assert fit.columns.size and _taught(at(same, fit.z), fit).known is not None
+    assert _taught(at(other, fit.z), fit).known is None
+
+
 def test_sensitivities_that_served_for_two_steps_are_not_those_of_the_end(problem, sliding):
     """Where a fit ends they are found anew, however it came there; two steps a set are at least as far as one."""
     followed = Followed(problem, 6.0).hearing(sliding)

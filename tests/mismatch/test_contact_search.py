@@ -102,7 +102,7 @@ def test_where_all_lose_evidence_none_is_looked_at_further(followed, problem, po
     more = pair_of(followed, [z_of(problem, TRUTH), 0.0], drag)
     monkeypatch.setattr(search, "bumps", lambda *_: 0.0)
     monkeypatch.setattr(search, "_screened", lambda *_: [])
-    monkeypatch.setattr(search, "near_remembered", lambda base, found, _: went_on.append(base) or found)
+    monkeypatch.setattr(search, "near_remembered", lambda base, found, *_: went_on.append(base) or found)
     monkeypatch.setattr(search, "smoothed", lambda base, found, *_: (found, search.LUCK))
     if not led:
         monkeypatch.setattr(search, "better_base", lambda base, *_, longer: base)
@@ -152,7 +152,7 @@ def test_what_a_rivals_own_recordings_would_say_leaves_a_lead_no_name(followed, 
     monkeypatch.setattr(search, "bumps", lambda *_: 0.0)
     monkeypatch.setattr(search, "_screened", lambda *_: [])
     monkeypatch.setattr(search, "refined", lambda *_: [right])
-    monkeypatch.setattr(search, "near_remembered", lambda base, found, _: found)
+    monkeypatch.setattr(search, "near_remembered", lambda base, found, *_: found)
     monkeypatch.setattr(search, "better_base", lambda base, *_, longer: base)
     monkeypatch.setattr(search, "smoothed", lambda base, found, *_: (found, search.LUCK))
     monkeypatch.setattr(search, "earns", lambda *_: True)

@@ -13,6 +13,7 @@ from det2stoc_bayes.mismatch.contact import screen as screening
 from det2stoc_bayes.mismatch.contact.fit import at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.led_response import LedResponse, foretells
+from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 
@@ -65,6 +66,50 @@ def test_in_the_air_it_is_what_simulations_change(flying):
     assert {"linear_drag", "magnus_lift", "gravity_tilt", "base_vibration", "com_offset", "inertia_error"} <= looked_at
     assert {"steady_wind", "periodic_wind"} <= looked_at
     assert {"sensor_bias", "sensor_scale", "sensor_drift"} <= looked_at
+
+
+def tied(fit, placed, values):
+    """The same flights as they are with an effect, a sample's noise on each."""
+    problem = fit.problem.with_effects((placed,))
+    z = placed.effect.to_normal(values, placed.typical)
+    return fit_of(replicated(at(fit.followed.with_problem(problem), z), np.random.default_rng(3)), fit.problem)
+
+
+def fit_of(followed, problem):
+    return at(followed.with_problem(followed.problem.with_effects(problem.effects)), np.zeros(0))
+
+
+def test_a_strings_end_is_looked_for_about_the_best_trials(flying):
+    """Measured: trials alone promise 54 nats, with the search 134, its end 0.021 m off, of ways of 0.18 m."""
+    fit, _, pool = flying
+    placed = next(p for p in pool if p.effect.name == "tether")
+    way, place = placed.typical.way, np.array(placed.typical.place)
+    true = {
+        "stiffness": 6 * placed.typical.force / way,
+        "length": 1.1 * way,
+        "anchor": place + way * np.array([0.9, 0.4, 0.5]),
+    }
+    fit = tied(fit, placed, true)
+    fit.prepare()
+    led = LedResponse(fit)
+    alone = max(p.gain for p in screening._foretold(fit, led, placed))
+    found = screening.screen(fit, [placed])[0]
+    assert found.gain > 1.5 * alone
+    assert np.linalg.norm(np.asarray(found.values["anchor"]) - true["anchor"]) < 0.3 * way
+
+
+def test_a_loads_centre_may_lie_to_the_negative_side(flying):
+    """Of a load at several places the mass is positive, and not each place's share of it."""
+    fit, _, pool = flying
+    placed = next(p for p in pool if p.effect.name == "payload_mass")
+    trial = max(placed.effect.trials(placed.typical), key=lambda t: len(t.columns))
+    shape = (*fit.errors.shape, len(trial.columns))
+    columns = np.where(np.isfinite(fit.errors)[..., None], np.random.default_rng(0).standard_normal(shape), 0.0)
+    share = np.array([3.0, -1.0, 0.5, -0.2])
+    there = replace(fit, errors=np.where(np.isfinite(fit.errors), columns @ share, np.nan))
+    found = screening._promised(there, placed, trial, columns, 1.0)
+    expected = placed.effect.combine(trial, share, placed.typical)
+    np.testing.assert_allclose(found.values["offset"], expected["offset"], rtol=0.05)
 
 
 def test_a_wind_that_swells_costs_no_simulation_a_frequency(flying):
@@ -144,8 +189,9 @@ def test_of_a_recording_that_diverges_nothing_is_foretold(flying):
     start = fit.followed.start
     qvel = start.qvel.copy()
     qvel[0] = 1e12
-    thrown = replace(fit, followed=replace(fit.followed))
-    thrown.followed.__dict__["start"] = replace(start, qvel=qvel)
+    problem = fit.problem
+    problem = replace(problem, guess=replace(problem.guess, start=replace(start, qvel=qvel)))
+    thrown = replace(fit, followed=fit.followed.with_problem(problem))
     placed = next(p for p in pool if p.effect.name == "linear_drag")
     (trial,) = placed.effect.trials(placed.typical)
     found = LedResponse(thrown).lessened(placed, [dict(values) for values in trial.columns])

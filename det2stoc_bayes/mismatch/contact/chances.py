@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from det2stoc_bayes.mismatch.contact.fit import at
 from det2stoc_bayes.mismatch.contact.mimic import apart, mimicking
 from det2stoc_bayes.mismatch.contact.pair import Pair, paired
+from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 
 ALIKE = 0.05  # mean squared difference of predictions, in noise sds, of what no sample tells apart
@@ -40,14 +41,17 @@ def alike(a: Pair, b: Pair, luck: float = LUCK) -> Bool[np.ndarray, ""]:
 def as_the_best(pairs: Sequence[Pair], luck: float = LUCK) -> list[Pair]:
     """What can predict as the best does, where it does: equivalent effects would end nats apart, on other bumps."""
     first, *others = pairs
-    out = [first]
-    for rival in others:
-        if rival.height <= first.height + LEAST_NEAR:
-            led = at(rival.fit.followed.remembering(first.fit.followed.memory), rival.fit.z)
-            same = paired(mimicking(led, first.fit), rival.held.followed)
-            rival = same if alike(same, first, luck) else rival
-        out.append(rival)
-    return out
+    first.fit.prepare()
+
+    def mimic(rival: Pair) -> Pair:
+        if rival.height > first.height + LEAST_NEAR:
+            return rival
+        led, memory = rival.fit, first.fit.followed.memory
+        led = led if led.followed.memory == memory else at(led.followed.remembering(memory), led.z)
+        same = paired(mimicking(led, first.fit), rival.held.followed)
+        return same if alike(same, first, luck) else rival
+
+    return [first, *side_by_side(first.fit.problem, mimic, others)]
 
 
 def best_of_each(pairs: Sequence[Pair]) -> list[Pair]:

@@ -87,8 +87,10 @@ def _differences(
     found = followed.errors(moved) if len(probes) else []
     out = []
     for k, (which, step) in enumerate(zip(probes, steps, strict=True)):
-        up, down = (np.nan_to_num(x) for x in ((errors - found[2 * k]) / step, (found[2 * k + 1] - errors) / step))
-        if moved[2 * k + 1, which[0]] > z[which[0]] - 0.5 * step:  # at the wall there is one side only
+        back = z[which[0]] - moved[2 * k + 1, which[0]]  # less than a step where a wall is near
+        up = np.nan_to_num((errors - found[2 * k]) / step)
+        down = np.nan_to_num((found[2 * k + 1] - errors) / max(back, 0.5 * step))
+        if back < 0.5 * step:  # at the wall there is one side only
             out.append((up, 1.0))
             continue
         change = steady(up, down)

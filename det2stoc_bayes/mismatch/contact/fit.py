@@ -49,8 +49,15 @@ class ContactFit:
 
         By the believed integration: a finer one takes several times as long, and changes hardly what unknowns do.
         """
-        plain = self.as_believed
+        whole = self.known is not None and self.known.shape[-1] == len(self.z)
+        plain = self if whole else self.as_believed
         return columns_of(plain.followed, self.z, plain.errors, self.sizes, self.known)
+
+    @property
+    def steps(self) -> Float[np.ndarray, " size"]:
+        """Those of finite differences; sensitivities are not found for them where they are known."""
+        known = "differences" not in self.__dict__ and self.sizes is not None and np.isfinite(self.sizes).all()
+        return self.sizes if known else self.differences[1]  # pyright: ignore[reportReturnType]
 
     @property
     def columns(self) -> Float[np.ndarray, "blocks samples columns size"]:
@@ -118,7 +125,7 @@ class ContactFit:
 
     def prepare(self) -> None:
         """What several threads are to read is found before, and once."""
-        _ = self.gram, self.left, self.as_believed.errors, self.followed.start
+        _ = self.gram, self.left, self.as_believed.errors
 
     def only(self, rows: np.ndarray) -> "ContactFit":
         """The same on some recordings, under the scales of all."""
@@ -196,7 +203,7 @@ def _taught(fit: ContactFit, like: ContactFit) -> ContactFit:
 
 def _along(fit: ContactFit, step: Float[np.ndarray, " size"]) -> ContactFit:
     """The likeliest of what lies along a step, which is often too short where sensitivities to both sides disagree."""
-    far, near = _fits(fit.followed, np.stack([within(fit, fit.z + f * step) for f in FRACTIONS]))
+    far, near = fits_at(fit.followed, np.stack([within(fit, fit.z + f * step) for f in FRACTIONS]))
     best = min((far, near), key=lambda f: f.loss)
     if best.loss >= fit.loss:
         more = BACK
@@ -204,15 +211,16 @@ def _along(fit: ContactFit, step: Float[np.ndarray, " size"]) -> ContactFit:
         return near
     else:
         more = FURTHER
-    return min((best, *_fits(fit.followed, within(fit, fit.z + more * step)[None])), key=lambda f: f.loss)
+    return min((best, *fits_at(fit.followed, within(fit, fit.z + more * step)[None])), key=lambda f: f.loss)
 
 
 def _best(followed: Followed, z: Float[np.ndarray, "variants size"]) -> ContactFit:
     """The likeliest of these unknowns."""
-    return min(_fits(followed, z), key=lambda f: f.loss)
+    return min(fits_at(followed, z), key=lambda f: f.loss)
 
 
-def _fits(followed: Followed, z: Float[np.ndarray, "variants size"]) -> list[ContactFit]:
+def fits_at(followed: Followed, z: Float[np.ndarray, "variants size"]) -> list[ContactFit]:
+    """The hypothesis at each of these unknowns, simulated together."""
     return [ContactFit(followed, one, e, scales_of(e)) for one, e in zip(z, followed.errors(z), strict=True)]
 
 

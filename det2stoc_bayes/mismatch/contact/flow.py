@@ -5,6 +5,7 @@ as long as its memory lasts. Simulations that are led along the same recording w
 their spread is the uncertainty that an ensemble Kalman filter would have there (Evensen, 2009, ch. 4).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from threading import Lock
 
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.engines.observer import ContactFlow, Observer, Places
-from det2stoc_bayes.mismatch.contact.observers import make_observer, on_rows, recorded_start
+from det2stoc_bayes.mismatch.contact.observers import make_observer, on_rows
 from det2stoc_bayes.problem import Problem
 from det2stoc_bayes.segments import Segments
 
@@ -20,6 +21,27 @@ ENSEMBLE = 16  # members
 SEED = 5
 NUM_ROUNDS = 2  # in which gains and what contact does to uncertainty settle: what is made up for sooner jolts less
 Made = tuple[Observer, Float[np.ndarray, "recordings samples columns"]]
+
+
+class Once[T]:
+    """What several threads ask for, by segments and memory: found by the first that asks, while others wait for it."""
+
+    def __init__(self):
+        self._lock, self._locks = Lock(), dict[tuple[int, float], Lock]()
+        self._found: dict[tuple[int, float], tuple[Segments, T]] = {}  # with whose number is the key, or it is reused
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    def __call__(self, segments: Segments, memory: float, make: Callable[[], T]) -> T:
+        """What is known, or is made now."""
+        key = id(segments), memory
+        with self._lock:
+            lock = self._locks.setdefault(key, Lock())
+        with lock:
+            if key not in self._found:
+                self._found[key] = segments, make()
+            return self._found[key][1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,30 +52,24 @@ class Ground:
     z: Float[np.ndarray, " size"]
     holds: bool = False
     share: float = 1.0  # of the jolts
-    made: dict[tuple[int, float], tuple[Segments, Made]] = field(default_factory=dict)  # by segments and memory
-    first: dict[tuple[int, float], tuple[Segments, ContactFlow]] = field(default_factory=dict)  # of a first round
-    finding: Lock = field(default_factory=Lock)  # what several threads share is found by one
+    made: Once[Made] = field(default_factory=Once)
+    first: Once[ContactFlow] = field(default_factory=Once)  # of a first round
 
     def regarding(self, holds: bool, share: float) -> "Ground":
         """The same with other beliefs of contact; what does not depend on them is shared."""
-        return replace(self, holds=holds, share=share, made={})
+        return replace(self, holds=holds, share=share, made=Once())
 
     def observer(self, segments: Segments, memory: float) -> Made:
         """The observer of some recordings, as `make_observer` has it, found once for all hypotheses."""
-        key = id(segments), memory
-        with self.finding:
-            if key not in self.made:
-                self.made[key] = segments, self._found(key, segments, memory)
-            return self.made[key][1]
+        return self.made(segments, memory, lambda: self._found(segments, memory))
 
-    def _found(self, key: tuple[int, float], segments: Segments, memory: float) -> Made:
+    def _found(self, segments: Segments, memory: float) -> Made:
         problem = self.problem.on(segments)
         z = self.problem.carry(self.z, problem)
         made = make_observer(problem, memory)
-        if key not in self.first:
-            self.first[key] = segments, contact_flow(problem, made[0], z)
+        first = self.first(segments, memory, lambda: contact_flow(problem, made[0], z))
         for k in range(NUM_ROUNDS):
-            flow = contact_flow(problem, made[0], z) if k else self.first[key][1]
+            flow = contact_flow(problem, made[0], z) if k else first
             kept = flow.kept if self.holds else np.ones_like(flow.kept)
             made = make_observer(problem, memory, ContactFlow(kept, self.share * flow.grown))
         return made
@@ -82,7 +98,7 @@ def _members(
     many = on_rows(problem, rows)
     noise = problem.noise * np.random.default_rng(SEED).standard_normal(many.segments.values.shape)
     members = Observer(observer.gains[rows], observer.values[rows] + noise, observer.seen[rows])
-    path = problem.simulator.engine.trajectory(replace(many.request(z[None], recorded_start(many)), observer=members))
+    path = problem.simulator.engine.trajectory(replace(many.request(z[None], many.guess.start), observer=members))
     places, flat = Places(problem.simulator.model, many.segments.columns), (-1, path.columns.shape[-1])
 
     def apart(values: np.ndarray) -> np.ndarray:

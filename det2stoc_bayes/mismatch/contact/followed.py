@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from det2stoc_bayes.engines.base import EffectRows, Request, Start, Trajectory
 from det2stoc_bayes.engines.observer import Observer
 from det2stoc_bayes.mismatch.contact.flow import Ground
-from det2stoc_bayes.mismatch.contact.observers import make_observer, on_rows, recorded_start
+from det2stoc_bayes.mismatch.contact.observers import make_observer, on_rows
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.problem import Problem, repeat_start
 from det2stoc_bayes.recording import Recording
@@ -52,10 +52,10 @@ class Followed:
     def _sd(self) -> Float[np.ndarray, "recordings samples columns"]:
         return self._made[1] * self.problem.noise
 
-    @cached_property
+    @property
     def start(self) -> Start:
-        """What was recorded first."""
-        return recorded_start(self.problem)
+        """What was recorded first, rates of positions where speeds were not."""
+        return self.problem.guess.start
 
     @cached_property
     def log_spread(self) -> Float[np.ndarray, "blocks samples columns"]:
@@ -178,7 +178,7 @@ class Followed:
         """Whether simulations are led and heard alike, so that sensitivities are the same."""
         mine, its = self.problem, other.problem
         alike = (mine.segments.key, mine.timestep, mine.integrator) == (its.segments.key, its.timestep, its.integrator)
-        return alike and self._led == other._led
+        return alike and self._led == other._led and _same(mine.segments.values, its.segments.values)
 
     @property
     def _led(self) -> tuple[float, int, int, int]:
@@ -197,7 +197,7 @@ class Followed:
             other.__dict__.update(
                 (k, v)
                 for k, v in self.__dict__.items()
-                if k in ("_made", "_crowd", "_sd", "start", "volumes", "log_spread", "_real")
+                if k in ("_made", "_crowd", "_sd", "volumes", "log_spread", "_real")
             )
         return other
 
@@ -234,6 +234,10 @@ class Followed:
     def on(self, recordings: Sequence[Recording]) -> "Followed":
         """The same hypothesis on other recordings."""
         return replace(self, problem=self.problem.on(cut(recordings, None, self.problem.segments.columns)))
+
+
+def _same(a: np.ndarray, b: np.ndarray) -> bool:
+    return a is b or np.array_equal(a, b, equal_nan=True)
 
 
 def _led_by(observer: Observer, rows: Int[np.ndarray, " rows"]) -> Observer:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, within
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, fits_at, within
 
 ROUNDS = 4  # with the same sensitivities
 FRACTIONS = (1.0, 0.5)  # of a step
@@ -23,7 +23,7 @@ def mimicking(rival: ContactFit, model: ContactFit) -> ContactFit:
         # An impact a step later parts two hypotheses more than all else does, and no step sees beyond it.
         own = np.arange(last.size) < last.effect.parameters[0].size
         ways = [np.concatenate([model.z[:shared], np.where(own, f, 1.0) * rival.z[shared:]]) for f in SIZES]
-        there = min((at(rival.followed, way) for way in ways), key=lambda f: apart(f, model))
+        there = min(fits_at(rival.followed, np.stack(ways)), key=lambda f: apart(f, model))
         found.append(_descended(there, rival, model))
     best = min(found, key=lambda f: apart(f, model))
     return best if apart(best, model) < LESS * apart(rival, model) else rival
@@ -42,8 +42,8 @@ def _descended(near: ContactFit, rival: ContactFit, model: ContactFit) -> Contac
         left = _scaled(model, near.errors - model.errors)
         said = np.sqrt(np.minimum(1.0, (FARTHEST / np.maximum(np.abs(left), 1e-12)) ** 2))
         step = np.linalg.lstsq(said[:, None] * columns, said * left, rcond=1e-8)[0]
-        tried = [at(near.followed, within(near, near.z + f * step)) for f in FRACTIONS]
-        found = min(tried, key=lambda f: apart(f, model))
+        tried = np.stack([within(near, near.z + f * step) for f in FRACTIONS])
+        found = min(fits_at(near.followed, tried), key=lambda f: apart(f, model))
         if not apart(found, model) < LESS * apart(near, model):
             break
         near = found

@@ -5,17 +5,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from det2stoc_bayes.engines.base import Start
 from det2stoc_bayes.engines.observer import ContactFlow, Observer, Places, forgetting_gains
 from det2stoc_bayes.problem import Problem
-from det2stoc_bayes.starts import guess_starts
 
 RATE = 0.5  # noise sds over a sampling interval: sd of a speed that is estimated from positions
-
-
-def recorded_start(problem: Problem) -> Start:
-    """What was recorded first, rates of positions where speeds were not."""
-    return guess_starts(problem.simulator.model, problem.segments).start
 
 
 def on_rows(problem: Problem, rows: Int[np.ndarray, " rows"]) -> Problem:

@@ -11,6 +11,7 @@ from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.regions import bordered
 from det2stoc_bayes.mismatch.contact.scales import Scales
 from det2stoc_bayes.mismatch.contact.screen import Promise
+from det2stoc_bayes.mismatch.contact.turned import best_turned
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import log_det
 
@@ -18,6 +19,7 @@ MEMORIES = (3.0, 6.0, 12.0, 25.0, 50.0, 200.0)  # samples
 MOST_WORSE = 2  # memories
 SKETCH = 3  # iterations of what was screened
 OF_LUCK = 0.1  # of the nats that fits of one hypothesis differ by: a step that gains less is the last
+WILD = 10.0  # prior sds of an effect beyond which no fit begins
 OWN = (-2.0, -1.0, 0.0, 1.0, 2.0)  # sds of a population at which a recording's own value is looked for
 FAR = 1.5  # prior sds of some psi beyond which what is missing has led it there, and a small step of it does nothing
 
@@ -91,7 +93,7 @@ def climbed(fit: ContactFit) -> ContactFit:
     return fit
 
 
-def longer_by_one(fit: ContactFit) -> ContactFit | None:
+def longer_by_one(fit: ContactFit, settled: float = SETTLED) -> ContactFit | None:
     """The same hypothesis fitted with that longer memory which serves it best as it is, or else with the next one.
 
     None where it has the longest. Memories beyond MOST_WORSE in a row that serve it less are not looked at.
@@ -105,7 +107,7 @@ def longer_by_one(fit: ContactFit) -> ContactFit | None:
         return None
     best = min(tried, key=lambda f: f.loss)
     start = best if best.loss < fit.loss else tried[0]
-    return fit_followed(start.followed, start.z, like=fit)
+    return fit_followed(start.followed, start.z, like=fit, settled=settled)
 
 
 def nearer(fit: ContactFit) -> ContactFit:
@@ -118,7 +120,7 @@ def nearer(fit: ContactFit) -> ContactFit:
 def sketched(base: ContactFit, promise: Promise, iterations: int = SKETCH) -> ContactFit:
     """The hypothesis with a screened addition after a few steps."""
     more = base.problem.with_effects((*base.problem.effects, promise.placed))
-    new = np.clip(np.nan_to_num(promise.placed.effect.to_normal(promise.values, promise.placed.typical)), -4.0, 4.0)
+    new = np.clip(np.nan_to_num(promise.placed.effect.to_normal(promise.values, promise.placed.typical)), -WILD, WILD)
     ways = [np.concatenate([base.z + a * promise.change, b * new]) for a, b in ((1.0, 1.0), (0.0, 1.0), (0.3, 0.3))]
     first, *others = (np.maximum(way, more.floor) for way in ways)
     return fit_followed(base.followed.with_problem(more), first, others=others, iterations=iterations, like=base)
@@ -132,8 +134,13 @@ def on_all(sketch: ContactFit, base: ContactFit) -> ContactFit:
 
 def finished(fit: ContactFit, held: Followed, luck: float) -> Pair:
     """What was begun, fitted until steps gain next to nothing beside what is luck."""
-    done = fit_followed(fit.followed, fit.z, like=fit, settled=max(SETTLED, OF_LUCK * luck))
-    return best_bordered(paired(done, held))
+    done = fit_followed(fit.followed, fit.z, like=fit, settled=next_to_nothing(luck))
+    return best_bordered(paired(best_turned(done, next_to_nothing(luck)), held))
+
+
+def next_to_nothing(luck: float) -> float:
+    """Nats by which a step is the last one, where fits of one hypothesis differ by so many."""
+    return max(SETTLED, OF_LUCK * luck)
 
 
 def best_bordered(pair: Pair) -> Pair:
@@ -148,9 +155,9 @@ def remembered(pair: Pair) -> Pair:
     return pair if best is pair.fit else paired(best, pair.held.followed)
 
 
-def remembering_more(pair: Pair) -> Pair | None:
+def remembering_more(pair: Pair, luck: float) -> Pair | None:
     """The same hypothesis with a longer memory; None where that does not serve it."""
-    longer = longer_by_one(pair.fit)
+    longer = longer_by_one(pair.fit, next_to_nothing(luck))
     if longer is None:
         return None
     more = best_bordered(paired(longer, pair.held.followed))

@@ -27,4 +27,4 @@ def polished(fit: ContactFit) -> ContactFit:
         return within(fit, z)
 
     best = evolved(fit, unknowns, size=len(free), sigma=WIDTH, population=POPULATION, generations=GENERATIONS)
-    return fit if best is fit.z else replace(at(fit.followed, best), sizes=fit.differences[1])
+    return fit if best is fit.z else replace(at(fit.followed, best), sizes=fit.steps)

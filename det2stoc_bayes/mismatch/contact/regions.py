@@ -15,10 +15,9 @@ from det2stoc_bayes.mismatch.contact.evolution import evolved
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
-from det2stoc_bayes.mismatch.effects.contact import LEAST, FrictionPatch
+from det2stoc_bayes.mismatch.effects.contact import LEAST, FrictionError, FrictionPatch
 
 RATIOS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.8, 2.4)  # of the friction
-FAR = 1e6  # m: so far off no body is outside
 NUM_TURNS = 24  # directions of a normal on the ground
 LEAST_SIDE = 0.03  # of the samples that are on a border's either side
 LEAST_WAY, SAME = 0.2, 1e-9  # of where the body was: across a border; between samples of one place
@@ -112,9 +111,10 @@ def likeliest_border(fit: ContactFit, placed: PlacedEffect) -> Border | None:
     if not isinstance(placed.effect, FrictionPatch) or not placed.typical.region:
         return None
     plain = fit.as_believed
-    everywhere = [{"ratio": r, "point": (0.0, 0.0, -FAR), "normal": (0.0, 0.0, 1.0)} for r in RATIOS]
+    whole = [form for form in FrictionError().forms() if form.fits(placed.element)][-1]  # the region is everywhere
     with np.errstate(all="ignore"):
-        errors = plain.followed.errors_with(plain.z, placed, everywhere)
+        everywhere = PlacedEffect(whole, placed.element, placed.typical)
+        errors = plain.followed.errors_with(plain.z, everywhere, [{"ratio": r} for r in RATIOS])
     told = np.stack([plain.scales.each(e).sum(2).ravel() for e in errors])
     sound = (np.nan_to_num(np.abs(errors)) < FARTHEST).all((0, 3)).ravel()  # a simulation that diverges tells nothing
     places = _places(plain, placed)

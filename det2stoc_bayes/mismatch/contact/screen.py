@@ -16,13 +16,15 @@ from det2stoc_bayes.mismatch.contact.led_response import LedResponse, foretells
 from det2stoc_bayes.mismatch.contact.regions import likeliest_border
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect, Trial
+from det2stoc_bayes.mismatch.screen import one_sided
 from det2stoc_bayes.mismatch.sharpen import leads, sharpened, unlike
 
 SIZES = (1.0, 10.0, 100.0)  # times the columns of smooth systems: contact is smooth over some of them
 WIDE = (10.0, 100.0)  # times, of what is to first order: small ones end within a contact's kink
 SOME = 3  # one of so many recordings is looked at where it takes simulations, and has its say as often
 KEPT = 2  # trials of an effect that are kept
-NUM_STARTS = 4  # of them, from which a pattern search sets out
+NUM_STARTS = 4  # of them, from which a pattern search sets out,
+NUM_SHARPENED = 12  # of so many candidates
 MOST_HELD = 2_000_000  # numbers of what trials change that are held at once
 
 
@@ -52,6 +54,9 @@ def screen(
     few, led = some(fit), LedResponse(fit)
     share = fit.problem.segments.count / few.problem.segments.count
 
+    def sharp(promise: Promise) -> Promise:
+        return _sharpened(fit, led, promise)
+
     def promised(placed: PlacedEffect) -> Promise | None:
         if foretells(placed):
             found = _foretold(fit, led, placed)
@@ -64,7 +69,9 @@ def screen(
         shared.prepare()
     found = side_by_side(fit.problem, promised, pool, lambda k: advance(int(k > 0)))
     advance(int(len(pool) > 0))
-    return sorted((p for p in found if p is not None), key=lambda p: -p.gain)
+    ranked = sorted((p for p in found if p is not None), key=lambda p: -p.gain)
+    ranked[:NUM_SHARPENED] = side_by_side(fit.problem, sharp, ranked[:NUM_SHARPENED])
+    return sorted(ranked, key=lambda p: -p.gain)
 
 
 def _bordered(fit: ContactFit, placed: PlacedEffect) -> list[Promise]:
@@ -96,17 +103,26 @@ def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[P
         of_trial = [[p for p, (t, _) in zip(each, sized, strict=True) if t is trial] for trial in trials]
         found = [max(mine, key=lambda p: p.gain) for mine in of_trial]
     else:
-        found = _searched(fit, led, placed, trials, room)
+        found = _tried(fit, led, placed, trials)
     return sorted(found, key=lambda p: -p.gain)[:KEPT]
 
 
-def _searched(fit: ContactFit, led: LedResponse, placed: PlacedEffect, trials: list[Trial], room: int) -> list[Promise]:
-    """What trials promise, and those to which a pattern search leads from the best that are unlike each other."""
+def _tried(fit: ContactFit, led: LedResponse, placed: PlacedEffect, trials: Sequence[Trial]) -> list[Promise]:
+    """What each promises to first order, by columns as they are."""
+    changes = _changes(led.lessened, placed, [(t, 1.0) for t in trials], max(MOST_HELD // led.held, 1))
+    return [_promised(fit, placed, t, own, 1.0) for t, own in zip(trials, changes, strict=True)]
+
+
+def _sharpened(fit: ContactFit, led: LedResponse, promise: Promise) -> Promise:
+    """The best of what is promised, and of where a pattern search leads from the best trials that are unlike others."""
     type Tried = tuple[Promise, Trial]
+    placed = promise.placed
+    leading = [t for t in placed.effect.trials(placed.typical) if leads(placed, t)] if foretells(placed) else []
+    if not leading:
+        return promise
 
     def judged(trials: Sequence[Trial]) -> list[Tried]:
-        changes = _changes(led.lessened, placed, [(t, 1.0) for t in trials], room)
-        return [(_promised(fit, placed, t, own, 1.0), t) for t, own in zip(trials, changes, strict=True)]
+        return list(zip(_tried(fit, led, placed, trials), trials, strict=True))
 
     def gain(tried: Tried) -> float:
         return tried[0].gain
@@ -115,14 +131,13 @@ def _searched(fit: ContactFit, led: LedResponse, placed: PlacedEffect, trials: l
         return judged(placed.effect.about(tried[1], placed.typical, reach))
 
     def change(tried: Tried) -> Float[np.ndarray, " values"]:
-        return fit.weighed(led.lessened(placed, [tried[0].values])).ravel()
+        return fit.weighed(led.lessened(placed, [tried[0].values])).ravel() if gain(tried) > 0 else np.zeros(1)
 
-    found = judged(trials)
-    if leading := [tried for tried in found if leads(placed, tried[1]) and gain(tried) > 0]:
-        starts = unlike(sorted(leading, key=gain, reverse=True), change, NUM_STARTS)
-        sharp = sorted((sharpened(s, about, gain) for s in starts), key=gain, reverse=True)
-        found = [*unlike(sharp, change, KEPT), *(tried for tried in found if tried not in leading)]
-    return [promise for promise, _ in found]
+    starts = unlike(sorted(judged(leading), key=gain, reverse=True), change, NUM_STARTS)
+    sharp = sorted((sharpened(s, about, gain) for s in starts), key=gain, reverse=True)
+    found = [*(p for p, _ in unlike(sharp, change, KEPT)), promise, *promise.others]
+    best, *others = sorted(found, key=lambda p: -p.gain)[: KEPT + 1]
+    return replace(best, others=tuple(replace(p, others=()) for p in others))
 
 
 def _judged(few: ContactFit, placed: PlacedEffect) -> list[Promise]:
@@ -201,8 +216,7 @@ def _promised(fit: ContactFit, placed: PlacedEffect, trial: Trial, columns: np.n
     inner = np.einsum("wnk,wnl->kl", beside, beside) + np.eye(columns.shape[2]) / sd**2
     total = np.einsum("wnk,wn->k", beside, fit.left)
     step = np.linalg.solve(inner, total)
-    if _wall(placed, trial):
-        step = np.maximum(step, 0.0)
+    step = np.where(one_sided(placed, trial), np.maximum(step, 0.0), step)
     gain, change = float(step @ total - 0.5 * step @ inner @ step), -share @ step
     if not gain > 0:
         return Promise(placed, 0.0, dict(trial.columns[0]), np.zeros(len(fit.z)))

@@ -87,7 +87,7 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     if not found or found[0].gain(base) <= -first_luck:  # for additions are not beyond their bumps yet
         return Round(base, tuple(screened), tuple(found), None, first_luck)
     short = {p.placed: p for p in found}
-    found = near_remembered(base, found, progress)
+    found = near_remembered(base, found, first_luck, progress)
     base = better_base(base, found, first_luck, longer=True)
     found, luck = smoothed(base, found, first_luck, progress, seed)
     base = base if first_luck >= BUMPY else beyond_bumps(base, luck)
@@ -177,22 +177,23 @@ def _each[T, S](
     return side_by_side(fit.problem, make, items, lambda k: progress("refining the best", begun + k, total))
 
 
-def near_remembered(base: Pair, found: Sequence[Pair], progress: Progress) -> list[Pair]:
+def near_remembered(base: Pair, found: Sequence[Pair], luck: float, progress: Progress) -> list[Pair]:
     """Best first, those that come near the best each with the memory that serves it best.
 
     A short memory forgives what is wrong: with a longer one the right effect gains most.
     """
     near = _near(base, found)
-    longer = side_by_side(base.fit.problem, longest, near, lambda k: progress("remembering longer", k, len(near)))
+    tell = partial(progress, "remembering longer")
+    longer = side_by_side(base.fit.problem, partial(longest, luck=luck), near, lambda k: tell(k, len(near)))
     progress("remembering longer", 1, 1)
     return best_of_each([*found, *longer])
 
 
-def longest(pair: Pair) -> Pair:
+def longest(pair: Pair, luck: float) -> Pair:
     """The same hypothesis with the memory that serves it best."""
-    best, now = pair, remembering_more(pair)
+    best, now = pair, remembering_more(pair, luck)
     while now is not None:
-        best, now = min((best, now), key=lambda p: p.height), remembering_more(now)
+        best, now = min((best, now), key=lambda p: p.height), remembering_more(now, luck)
     return best
 
 

@@ -38,7 +38,7 @@ def topped(fit: ContactFit, random: np.random.Generator) -> ContactFit:
         apart = q.bumps**2 * np.linalg.inv(q.design.T @ q.design)[1:, 1:] / np.outer(q.sharp, q.sharp)
         there = at(fit.followed, within(fit, fit.z + ways @ step))
         there = there if there.loss < fit.loss + LUCKY * q.bumps else fit
-        fit = replace(there, sizes=fit.differences[1], rough=ways @ apart @ ways.T)
+        fit = replace(there, sizes=fit.steps, rough=ways @ apart @ ways.T)
         sharp = np.minimum(q.sharp, wider)  # no top is called sharper than sensitivities have it
         wider, ways = wider / sharp, ways / np.sqrt(sharp)
     return replace(fit, flat=_stretched(ways, wider))
@@ -71,7 +71,9 @@ def _stretched(
 def widened(fit: ContactFit, z: Float[np.ndarray, " size"]) -> ContactFit:
     """The hypothesis, its covariance widened by how far from it another search for its top has ended."""
     apart = np.outer(fit.z - z, fit.z - z)
-    return replace(fit, rough=apart if fit.rough is None else fit.rough + apart)
+    wide = replace(fit, rough=apart if fit.rough is None else fit.rough + apart)
+    wide.__dict__.update((k, v) for k, v in fit.__dict__.items() if k == "differences")  # they are the same
+    return wide
 
 
 def bumps(fit: ContactFit, random: np.random.Generator) -> float:

@@ -3,12 +3,12 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
 from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.replicas import replicated
-from det2stoc_bayes.mismatch.contact.scales import Scales
+from det2stoc_bayes.mismatch.contact.scales import Scales, scatter
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 
 NUM_REPLICAS = 2
@@ -41,7 +41,7 @@ class Yardstick:
         By all blocks: on those that were fitted an addition leaves less anyway, and what is little there is little.
         """
         fell = self._all(before) - self._all(after)
-        return float(fell.mean() + SURELY * fell.std() / np.sqrt(len(fell))) / self.level
+        return (float(fell.mean()) + SURELY * standard_error(fell, _owners(after))) / self.level
 
     def along(self, pair: Pair) -> "Yardstick":
         """One by what a hypothesis itself leaves, with whatever memory it has."""
@@ -51,7 +51,7 @@ class Yardstick:
     def uncertain(self, pair: Pair) -> float:
         """1 standard error of the mean, over blocks."""
         blocks = self._blocks(pair)
-        return float(blocks.std() / np.sqrt(len(blocks)))
+        return standard_error(blocks, _owners(pair)[: len(blocks)])
 
     def _blocks(self, pair: Pair) -> Float[np.ndarray, " blocks"]:
         held = squares(pair.held.errors, self.reference)
@@ -59,6 +59,18 @@ class Yardstick:
 
     def _all(self, pair: Pair) -> Float[np.ndarray, " blocks"]:
         return np.concatenate([squares(one.errors, self.reference) for one in (pair.held, pair.fit)])
+
+
+def _owners(pair: Pair) -> Int[np.ndarray, " blocks"]:
+    """The recording of every block, held-out ones first."""
+    return np.roll(pair.owners, pair.held.followed.count)
+
+
+def standard_error(blocks: Float[np.ndarray, " blocks"], recording: Int[np.ndarray, " blocks"]) -> float:
+    """Of the mean over blocks, of which neighbours are correlated: no smaller than if they were not."""
+    centred = (blocks - blocks.mean())[:, None]
+    total = max(float(scatter(centred, recording)[0, 0]), float((centred**2).sum()))
+    return float(np.sqrt(total)) / len(blocks)
 
 
 def yardstick(fit: ContactFit, seed: int) -> Yardstick:

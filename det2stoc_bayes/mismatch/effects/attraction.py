@@ -17,16 +17,20 @@ TINY = 1e-12  # m2: a body in the point itself is not thrown away
 
 
 class PointEffect(BodyEffect):
-    """A force that depends on where a body is; the last parameter is a point in space."""
+    """A force that depends on where a body is; the first parameter says how strong, the last is a point in space."""
 
     complexity = 4
 
     def from_normal(self, z, typical, xp=np):
-        """Points about where the body is, in spreads of its places."""
+        """Points about where the body is, in spreads of its places; what is strong has no end.
+
+        A string that a body hangs on is ten times as stiff as typical forces make it, of a body that it holds.
+        """
         *_, point = self.parameters
         first = len(self.parameters) - 1
         priors = self.priors(typical)
-        out = {p.name: priors[p.name].from_normal(z[i], xp) for i, p in enumerate(self.parameters[:-1])}
+        told = [xp.sinh(z[0]), *(z[i] for i in range(1, first))]
+        out = {p.name: priors[p.name].from_normal(told[i], xp) for i, p in enumerate(self.parameters[:-1])}
         parts = [typical.place[i] + WIDE * typical.way * z[first + i] for i in range(3)]
         return {**out, point.name: xp.stack(parts, -1)}
 
@@ -35,6 +39,7 @@ class PointEffect(BodyEffect):
         *others, point = self.parameters
         priors = self.priors(typical)
         z = [float(priors[p.name].to_normal(np.asarray(values[p.name], float))) for p in others]
+        z[0] = float(np.arcsinh(z[0]))
         return np.array([*z, *(np.asarray(values[point.name]) - typical.place) / (WIDE * typical.way)])
 
     def about(self, trial, typical, reach):
