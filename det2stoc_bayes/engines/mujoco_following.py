@@ -1,4 +1,8 @@
-"""Simulations in C that an observer leads along recorded samples."""
+"""Simulations in C that an observer leads along recorded samples.
+
+Python has a part at every sample alone, which is half of the time: where samples lie on steps, and columns are numbers
+of the state, nothing is kept of what is between.
+"""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -15,8 +19,11 @@ if TYPE_CHECKING:
     from det2stoc_bayes.engines.mujoco_steps import Stepper
 
 
+FARTHEST = 1e6  # SI units: an error beyond it leads nothing
+
+
 class Follower:
-    """One chunk's states at every step, before (`ahead`) and after (`led`) the correction that falls on it."""
+    """A chunk, led; unless it is `light` with states at every step, before (`ahead`) and after (`led`) correction."""
 
     def __init__(self, chunk: "Chunk", ctrl: np.ndarray, stepper: "Stepper | None"):
         self.chunk, self.ctrl, self.stepper = chunk, ctrl, stepper
@@ -24,16 +31,19 @@ class Follower:
         segments, observer = chunk.segments, chunk.request.observer
         assert observer is not None
         self.gains = observer.gains[chunk.which]
-        self.values = observer.values[chunk.which]
         self.seen, self.drawn = observer.seen[chunk.which], observer.drawn
         self.places = Places(self.model, segments.columns)
+        values = observer.values if self.drawn else self.places.unit(observer.values)
+        self.values, self.told = values[chunk.which], observer.gains.any((0, 2, 3, 4))
         self.at = segments.in_steps(chunk.dt)[chunk.which]
         self.step = np.ceil(self.at - TIME_SLACK).astype(int)  # the first one that is not before the sample
         sources = {a.source for a in chunk.addresses}
         self.sensors = "sensordata" in sources
         names = ["qpos", "qvel", *(["act"] if self.model.na else []), *(["sensordata"] if self.sensors else [])]
         self.live = {n: self.batch.bind(n) for n in names}
-        count = chunk.num_steps + 1
+        on_steps = np.abs(self.at - self.step).max(initial=0.0) <= TIME_SLACK
+        self.light = bool(on_steps and not self.sensors and chunk.readings.straight)
+        count = 0 if self.light else chunk.num_steps + 1
         self.led = {n: np.empty((chunk.count, count, a.shape[1])) for n, a in self.live.items()}
         self.ahead = {n: np.empty_like(a) for n, a in self.led.items()}
 
@@ -49,7 +59,8 @@ class Follower:
             self._advance(int(step))
             there = new & (self.step == step)
             for j in np.flatnonzero(there.any(0)):
-                self._lead(int(j), np.flatnonzero(there[:, j]), columns, states)
+                mine = slice(None) if there[:, j].all() else np.flatnonzero(there[:, j])
+                (self._lead_lightly if self.light else self._lead)(int(j), mine, columns, states)
         self._advance(chunk.num_steps)
         for j in range(1, samples):
             same = ~new[:, j]
@@ -62,12 +73,14 @@ class Follower:
         return Trajectory(columns, states["qpos"], states["qvel"], states.get("act", empty))
 
     def _keep(self, step: int) -> None:
+        self.done = step
+        if self.light:
+            return
         if self.sensors:
             self.batch.forward()
         for n, a in self.live.items():
             self.ahead[n][:, step] = a
             self.led[n][:, step] = a
-        self.done = step
 
     def _advance(self, step: int) -> None:
         """Simulate up to a step."""
@@ -76,10 +89,14 @@ class Follower:
             return
         ctrl = self.ctrl[:, begin : step + 1]
         items = [n for n in self.live if n != "sensordata"]
+        wanted = () if self.light else sorted(self.live)
         if self.stepper is not None:
-            record = self.stepper.run(ctrl, sorted(self.live), closing=self.sensors)
+            record = self.stepper.run(ctrl, wanted, closing=self.sensors)
         else:
-            record = self.chunk.roll(ctrl, set(self.live))
+            record = self.chunk.roll(ctrl, wanted)
+        self.done = step
+        if self.light:
+            return
         for n in items:
             self.ahead[n][:, begin + 1 : step + 1] = record[n]
             self.led[n][:, begin + 1 : step + 1] = record[n]
@@ -88,19 +105,39 @@ class Follower:
             self.led["sensordata"][:, begin:step] = record["sensordata"]
             self.batch.forward()
             self.ahead["sensordata"][:, step] = self.led["sensordata"][:, step] = self.live["sensordata"]
-        self.done = step
 
-    def _lead(self, j: int, rows: Int[np.ndarray, " rows"], columns: np.ndarray, states: dict) -> None:
+    def _error(
+        self, j: int, rows: Int[np.ndarray, " rows"] | slice, predicted: Float[np.ndarray, "rows columns"]
+    ) -> Float[np.ndarray, "rows nv 2"]:
+        """Of what is seen of sample j; none of a simulation that has gone astray."""
+        values = self.places.unit(self.values[rows, j] + predicted) if self.drawn else self.values[rows, j]
+        error = self.places.apart(predicted, values)
+        return np.where(self.seen[rows, j] & (np.abs(error) < FARTHEST), error, 0.0)
+
+    def _lead_lightly(self, j: int, rows: Int[np.ndarray, " rows"] | slice, columns: np.ndarray, states: dict) -> None:
+        """`_lead` of a sample on the step that was simulated last."""
+        there = {n: self.live[n][rows] for n in states}
+        predicted = self.chunk.readings.at_once(there)
+        columns[rows, j] = predicted
+        for n, value in there.items():
+            states[n][rows, j] = value
+        if not self.told[j]:
+            return
+        place, push = corrected(self.model, there["qpos"], self.gains[rows, j], self._error(j, rows, predicted))
+        self.live["qpos"][rows] = states["qpos"][rows, j] = place
+        self.live["qvel"][rows] += push
+        states["qvel"][rows, j] += push
+        if self.stepper is not None:
+            self.stepper.past[rows] += push
+
+    def _lead(self, j: int, rows: Int[np.ndarray, " rows"] | slice, columns: np.ndarray, states: dict) -> None:
         """Read off sample j of some simulations, and correct their states by it."""
-        chunk, at = self.chunk, self.at[rows, j]
-        there = {n: self._between(n, rows, at) for n in self.live}
-        straight, readings = chunk.readings.straight, chunk.readings
-        columns[rows, j] = readings.at_once(there) if straight else readings.of(self._read, rows, slice(j, j + 1))[:, 0]
-        values = self.values[rows, j] + (columns[rows, j] if self.drawn else 0.0)
-        error = self.places.errors(columns[rows, j], values)
-        error = np.where(self.seen[rows, j] & (np.abs(error) < 1e6), error, 0.0)
+        rows = np.arange(len(self.at))[rows]
+        at = self.at[rows, j]
+        columns[rows, j] = self.chunk.readings.of(self._read, rows, slice(j, j + 1))[:, 0]
+        error = self._error(j, rows, columns[rows, j])
         gain = self.gains[rows, j]
-        there.pop("sensordata", None)
+        there = {n: self._between(n, rows, at) for n in states}
         place, push = corrected(self.model, there["qpos"], gain, error)
         for n, value in {**there, "qpos": place, "qvel": there["qvel"] + push}.items():
             states[n][rows, j] = value

@@ -35,12 +35,13 @@ class Readings:
             else:
                 self._plain.setdefault(address.source, []).append((j, address.index))
         self.straight = not self._sensed  # whether columns are numbers of the state as it is
+        self._at = {source: tuple(np.array(x) for x in zip(*here, strict=True)) for source, here in self._plain.items()}
 
     def at_once(self, states: Mapping[str, Float[np.ndarray, "rows _"]]) -> Float[np.ndarray, "rows columns"]:
         """A sample of simulations from their states at its time, where columns are `straight`."""
         out = np.empty((len(next(iter(states.values()))), len(self.segments.columns)))
-        for source, here in self._plain.items():
-            out[:, [j for j, _ in here]] = states[source][:, [index for _, index in here]]
+        for source, (columns, numbers) in self._at.items():
+            out[:, columns] = states[source][:, numbers]
         return out
 
     def of(

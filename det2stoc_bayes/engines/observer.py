@@ -106,15 +106,27 @@ class Places:
         self, predicted: Float[np.ndarray, "rows columns"], values: Float[np.ndarray, "rows columns"]
     ) -> Float[np.ndarray, "rows nv 2"]:
         """Recorded less predicted coordinates, turns in the predicted body's frame; 0 where nothing was recorded."""
+        out = self.apart(predicted, self.unit(values))
+        return np.where(np.isfinite(out), out, 0.0)
+
+    def unit(self, values: Float[np.ndarray, "... columns"]) -> Float[np.ndarray, "... columns"]:
+        """The same with quaternions of length 1."""
+        out = np.array(values)
+        for _, group in self.turns:
+            size = np.linalg.norm(out[..., group], axis=-1, keepdims=True)
+            out[..., group] /= np.where(size > 0, size, 1.0)
+        return out
+
+    def apart(
+        self, predicted: Float[np.ndarray, "rows columns"], values: Float[np.ndarray, "rows columns"]
+    ) -> Float[np.ndarray, "rows nv 2"]:
+        """`errors` of values of `unit`; NaN where nothing was recorded."""
         out = np.zeros((len(predicted), self.model.nv, 2))
         dofs, parts, places = self._apart
         out[:, dofs, parts] = values[:, places] - predicted[:, places]
         for dof, group in self.turns:
-            there = values[:, group]
-            size = np.linalg.norm(there, axis=1, keepdims=True)
-            there = there / np.where(size > 0, size, 1.0)
-            out[:, dof : dof + 3, 0] = relative_rotation(predicted[:, group], there)
-        return np.where(np.isfinite(out), out, 0.0)
+            out[:, dof : dof + 3, 0] = relative_rotation(predicted[:, group], values[:, group])
+        return out
 
 
 def corrected(

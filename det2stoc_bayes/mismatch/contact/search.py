@@ -43,6 +43,7 @@ LEAST_CERTAIN = 3.0  # standard errors of the gain over blocks: of those fitted
 HELD_GAIN = 3.0  # nats of it on recordings held out
 TIMES = 3.0  # what chance gains at most
 NUM_CHANCES = 3  # data sets that the base itself makes
+FAR_BELOW = 0.2  # of what is asked for: by one set that gains no more, others are not made
 MAX_EFFECTS = 3
 LOOK_AGAIN = 30.0  # nats of a leader, whose rivals are looked for once more where it ended,
 MOVED = 0.1  # if psi has moved by so many prior sds there: else they promise what they did
@@ -240,13 +241,14 @@ def held_gain(base: Pair, more: Pair) -> float:
 def gain_by_chance(
     base: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress, luck: float, most: float = np.inf
 ) -> float:
-    """The most that these gain on fitted recordings as the base would make them; looked for until it is `most`.
+    """The most that these gain on fitted recordings as the base would make them; looked for until it is `most`, or
+    nowhere near.
 
     At least `luck`: where something is missing, bumps may be higher than on any recordings that the base makes.
     """
     best = luck
     for k in range(NUM_CHANCES):
-        if best >= most:
+        if best >= most or (k and best < FAR_BELOW * most):
             break
         progress("measuring chance", k, NUM_CHANCES)
         followed = replicated(base.fit, np.random.default_rng([seed, 7, k]))
