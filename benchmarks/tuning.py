@@ -50,7 +50,7 @@ def drawn(work: Work, psi: np.ndarray) -> tuple[np.ndarray, Runs]:
 
 def learned(work: Work, options: Options) -> Iterator[tuple[str, StochasticSimulator]]:
     """Both baselines, and the algorithm's third turn from ever more recordings, as the source has it."""
-    _, runs = work.recorded(0)
+    runs = work.recorded(0)
     key = work.key("tuning")
     for episodes in work.settings.baselines:
         made, _ = baseline(runs[:episodes].transitions, 3, key, options, work.progress)

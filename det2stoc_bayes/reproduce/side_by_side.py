@@ -18,7 +18,7 @@ def num_jobs(jobs: int) -> int:
 
 
 def side_by_side[T](
-    make: Callable[[T], None], items: Sequence[T], jobs: int, progress: Progress, told: Callable[[], None]
+    make: Callable[[T], object], items: Sequence[T], jobs: int, progress: Progress, told: Callable[[], None]
 ) -> None:
     """Make all items; `told` is called now and then. What one of them raises is raised, and the others end."""
     with workers(jobs, progress=progress, most=len(items)) as executor:

@@ -100,7 +100,7 @@ class Work:
         if not path.is_file():
             made = make()
             with replacing(path) as temporary, temporary.open("wb") as file:
-                np.savez(file, **made)
+                np.savez(file, allow_pickle=False, **made)
         return np.load(path)
 
     def count(self, total: int) -> None:

@@ -158,7 +158,7 @@ def test_what_lies_beyond_the_source_s_model(done, monkeypatch):
     settings = replace(TINY, variants=True)
     work = Work(done, SCENE, settings, 0, lambda *_: None)
     monkeypatch.setattr(Work, "kept", lambda self, name, make: make())
-    psi, runs = work.recorded(0)
+    psi, runs = work.drawn(0), work.recorded(0)
     seen = []
 
     def iterate(real, simulated, psi, believed, key, options, progress, decoder):

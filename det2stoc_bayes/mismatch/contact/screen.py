@@ -28,6 +28,7 @@ NUM_SHARPENED = 12  # of so many candidates
 MOST_HELD = 2_000_000  # numbers of what trials change that are held at once
 
 
+type Tried = tuple[Promise, Trial]
 type Tell = Callable[[PlacedEffect, Sequence[Values]], Float[np.ndarray, "blocks samples columns values"]]
 
 
@@ -115,7 +116,6 @@ def _tried(fit: ContactFit, led: LedResponse, placed: PlacedEffect, trials: Sequ
 
 def _sharpened(fit: ContactFit, led: LedResponse, promise: Promise) -> Promise:
     """The best of what is promised, and of where a pattern search leads from the best trials that are unlike others."""
-    type Tried = tuple[Promise, Trial]
     placed = promise.placed
     leading = [t for t in placed.effect.trials(placed.typical) if leads(placed, t)] if foretells(placed) else []
     if not leading:

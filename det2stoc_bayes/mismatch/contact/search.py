@@ -248,7 +248,7 @@ def gain_by_chance(
     """
     best = luck
     for k in range(NUM_CHANCES):
-        if best >= most or (k and best < FAR_BELOW * most):
+        if best >= most or (k and best < FAR_BELOW * most < np.inf):
             break
         progress("measuring chance", k, NUM_CHANCES)
         followed = replicated(base.fit, np.random.default_rng([seed, 7, k]))
