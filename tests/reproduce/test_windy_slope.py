@@ -158,7 +158,7 @@ def test_what_lies_beyond_the_source_s_model(done, monkeypatch):
     settings = replace(TINY, variants=True)
     work = Work(done, SCENE, settings, 0, lambda *_: None)
     monkeypatch.setattr(Work, "kept", lambda self, name, make: make())
-    psi, runs = work.drawn(0), work.recorded(0)
+    runs = work.recorded(0)
     seen = []
 
     def iterate(real, simulated, psi, believed, key, options, progress, decoder):
@@ -170,7 +170,7 @@ def test_what_lies_beyond_the_source_s_model(done, monkeypatch):
     monkeypatch.setattr(seed_models, "iterate", iterate)
     monkeypatch.setattr(seed_models, "transition_scores", lambda simulator, *_: {"is": simulator.rotations})
     monkeypatch.setattr(seed_models, "rollout_scores", lambda *_: {})
-    made = Seed(work, 0, psi, runs, runs[:2])._variants({}, 0)
+    made = Seed(work, 0, runs[:2])._variants({}, 0)
     assert list(made) == [f"det2stoc 1, {kind}" for kind in (*VARIANTS, ROTATIONS)]
     assert [m["metrics"]["is"] for m in made.values()] == [(), (), (), (3,)]
     assert all(n == 600 and m == 4000 for n, m, *_ in seen)
