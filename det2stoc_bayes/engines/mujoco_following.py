@@ -153,7 +153,7 @@ class Follower:
             self.led[n][rows, self.done] = self.live[n][rows]
 
     def _read(
-        self, name: str, indices: Sequence[int], rows: np.ndarray, at: Float[np.ndarray, "rows one"]
+        self, name: str, indices: Sequence[int] | np.ndarray, rows: np.ndarray, at: Float[np.ndarray, "rows one"]
     ) -> np.ndarray:
         return self._between(name, rows, at[:, 0])[:, None, indices]
 

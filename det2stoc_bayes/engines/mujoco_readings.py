@@ -10,7 +10,7 @@ from det2stoc_bayes.engines.layout import ColumnAddress
 from det2stoc_bayes.segments import Segments
 
 # Some numbers of an array, (source, indices, simulations, steps from the start (rows, samples)) -> (rows, samples, _)
-type Between = Callable[[str, Sequence[int], np.ndarray, np.ndarray], np.ndarray]
+type Between = Callable[[str, Sequence[int] | np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 class Readings:
@@ -27,20 +27,20 @@ class Readings:
         self.segments, self.which, self.dt = segments, which, dt
         sensors = [e for e in effects if e.placed.element.kind == "sensor"]
         # Columns by the array that they are read from, and those of sensors with effects one by one.
-        self._plain: dict[str, list[tuple[int, int]]] = {}
+        plain: dict[str, list[tuple[int, int]]] = {}
         self._sensed: list[tuple[int, ColumnAddress, list[EffectRows]]] = []
         for j, (column, address) in enumerate(zip(segments.columns, addresses, strict=True)):
             if mine := [e for e in sensors if e.placed.element.column in (column, "time")]:
                 self._sensed.append((j, address, mine))
             else:
-                self._plain.setdefault(address.source, []).append((j, address.index))
+                plain.setdefault(address.source, []).append((j, address.index))
         self.straight = not self._sensed  # whether columns are numbers of the state as it is
-        self._at = {source: tuple(np.array(x) for x in zip(*here, strict=True)) for source, here in self._plain.items()}
+        self._plain = {source: np.array(here).T for source, here in plain.items()}
 
     def at_once(self, states: Mapping[str, Float[np.ndarray, "rows _"]]) -> Float[np.ndarray, "rows columns"]:
         """A sample of simulations from their states at its time, where columns are `straight`."""
         out = np.empty((len(next(iter(states.values()))), len(self.segments.columns)))
-        for source, (columns, numbers) in self._at.items():
+        for source, (columns, numbers) in self._plain.items():
             out[:, columns] = states[source][:, numbers]
         return out
 
@@ -52,8 +52,8 @@ class Readings:
         begin = self.segments.time[self.which[rows], 0]
         out = np.empty((*stamps.shape, len(self.segments.columns)))
         at = (stamps - begin[:, None]) / self.dt
-        for source, here in self._plain.items():
-            out[:, :, [j for j, _ in here]] = between(source, [index for _, index in here], rows, at)
+        for source, (columns, numbers) in self._plain.items():
+            out[:, :, columns] = between(source, numbers, rows, at)
         for j, address, effects in self._sensed:
             mine, times = [self._inside(e, rows) for e in effects], np.array(stamps)
             for effect, there, parameters in mine:

@@ -12,7 +12,7 @@ def candidates(problem: Problem, touching: Sequence[Element] = ()) -> list[Place
     """Placed effects, with prior scales from the believed model's own simulation; `touching`: contacts seen there."""
     magnitudes = Magnitudes(problem)
     return [
-        PlacedEffect([form for form in effect.forms() if form.fits(element)][-1], place, magnitudes.of(element))
+        PlacedEffect(effect.form_on(element), place, magnitudes.of(element))
         for effect in CATALOGUE.values()
         if effect.kind != "simulator" and effect.listed
         for others in [_elements(problem, effect.kind, touching)]

@@ -49,7 +49,7 @@ def run_scene(
         total = num_models(settings) + 1 + len(exactly) * scene.real_episodes[settings.num_iterations - 1]
         first_simulations(work)
         make = partial(_made, replace(work, progress=silent), exact)
-        side_by_side(make, tasks, jobs, progress, partial(work.count, total))
+        side_by_side(make, tasks, jobs, out / "parts", total, progress)
     tested_psi, tested = _test_set(work)
     seeds = [{"seed": n, "models": Seed(work, n, tested).models()} for n in numbers]
     found = rows(seeds, scene.source)

@@ -1,6 +1,7 @@
 """What is independent of each other in an experiment, made by several processes at once."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,11 +19,15 @@ def num_jobs(jobs: int) -> int:
 
 
 def side_by_side[T](
-    make: Callable[[T], object], items: Sequence[T], jobs: int, progress: Progress, told: Callable[[], None]
+    make: Callable[[T], object], items: Sequence[T], jobs: int, parts: Path, total: int, progress: Progress
 ) -> None:
-    """Make all items; `told` is called now and then. What one of them raises is raised, and the others end."""
+    """Make all items, of which `total` files come to a folder of parts. What one raises is raised, and others end."""
+
+    def count() -> None:
+        progress("making parts", len(list(parts.glob("*.json"))), total)
+
     with workers(jobs, progress=progress, most=len(items)) as executor:
-        for _, result in finished(executor, make, items, told):
+        for _, result in finished(executor, make, items, count):
             result()
 
 

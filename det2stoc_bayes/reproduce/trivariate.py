@@ -109,11 +109,9 @@ def run(
     settings = Settings.quick() if quick else Settings()
     numbers = range(settings.num_gaussians)
 
-    def count() -> None:
-        progress("examining Gaussians", len(list((out / "cases").glob("*.json"))), len(numbers))
-
     if (jobs := num_jobs(jobs)) > 1:
-        side_by_side(partial(_case, out, seed, settings, silent), numbers, jobs, progress, count)
+        make = partial(_case, out, seed, settings, silent)
+        side_by_side(make, numbers, jobs, out / "cases", len(numbers), progress)
     return summary([_case(out, seed, settings, progress, number) for number in numbers], settings, seed)
 
 

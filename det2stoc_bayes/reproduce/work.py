@@ -103,10 +103,6 @@ class Work:
                 np.savez(file, allow_pickle=False, **made)
         return np.load(path)
 
-    def count(self, total: int) -> None:
-        """Tells how many parts are there."""
-        self.progress("making parts", len(list((self.out / "parts").glob("*.json"))), total)
-
     def model(self, number: int, name: str, make) -> dict[str, Any]:
         """What is told of a seed's model."""
         return self.kept(_stem(number, name), make)

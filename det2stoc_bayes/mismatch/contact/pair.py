@@ -134,8 +134,9 @@ def on_all(sketch: ContactFit, base: ContactFit) -> ContactFit:
 
 def finished(fit: ContactFit, held: Followed, luck: float) -> Pair:
     """What was begun, fitted until steps gain next to nothing beside what is luck."""
-    done = fit_followed(fit.followed, fit.z, like=fit, settled=next_to_nothing(luck))
-    return best_bordered(paired(best_turned(done, next_to_nothing(luck)), held))
+    settled = next_to_nothing(luck)
+    done = fit_followed(fit.followed, fit.z, like=fit, settled=settled)
+    return best_bordered(paired(best_turned(done, settled), held))
 
 
 def next_to_nothing(luck: float) -> float:

@@ -111,9 +111,8 @@ def likeliest_border(fit: ContactFit, placed: PlacedEffect) -> Border | None:
     if not isinstance(placed.effect, FrictionPatch) or not placed.typical.region:
         return None
     plain = fit.as_believed
-    whole = [form for form in FrictionError().forms() if form.fits(placed.element)][-1]  # the region is everywhere
+    everywhere = PlacedEffect(FrictionError().form_on(placed.element), placed.element, placed.typical)
     with np.errstate(all="ignore"):
-        everywhere = PlacedEffect(whole, placed.element, placed.typical)
         errors = plain.followed.errors_with(plain.z, everywhere, [{"ratio": r} for r in RATIOS])
     told = np.stack([plain.scales.each(e).sum(2).ravel() for e in errors])
     sound = (np.nan_to_num(np.abs(errors)) < FARTHEST).all((0, 3)).ravel()  # a simulation that diverges tells nothing

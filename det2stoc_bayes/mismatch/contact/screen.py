@@ -27,8 +27,7 @@ NUM_STARTS = 4  # of them, from which a pattern search sets out,
 NUM_SHARPENED = 12  # of so many candidates
 MOST_HELD = 2_000_000  # numbers of what trials change that are held at once
 
-
-type Tried = tuple[Promise, Trial]
+type Tried = tuple["Promise", Trial]
 type Tell = Callable[[PlacedEffect, Sequence[Values]], Float[np.ndarray, "blocks samples columns values"]]
 
 
@@ -55,9 +54,6 @@ def screen(
     few, led = some(fit), LedResponse(fit)
     share = fit.problem.segments.count / few.problem.segments.count
 
-    def sharp(promise: Promise) -> Promise:
-        return _sharpened(fit, led, promise)
-
     def promised(placed: PlacedEffect) -> Promise | None:
         if foretells(placed):
             found = _foretold(fit, led, placed)
@@ -71,7 +67,7 @@ def screen(
     found = side_by_side(fit.problem, promised, pool, lambda k: advance(int(k > 0)))
     advance(int(len(pool) > 0))
     ranked = sorted((p for p in found if p is not None), key=lambda p: -p.gain)
-    ranked[:NUM_SHARPENED] = side_by_side(fit.problem, sharp, ranked[:NUM_SHARPENED])
+    ranked[:NUM_SHARPENED] = side_by_side(fit.problem, partial(_sharpened, fit, led), ranked[:NUM_SHARPENED])
     return sorted(ranked, key=lambda p: -p.gain)
 
 

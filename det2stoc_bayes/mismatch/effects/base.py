@@ -92,6 +92,10 @@ class Effect:
         """All forms of the effect, which differ in their parameters; the last one that fits an element is used."""
         return (self,)
 
+    def form_on(self, element: Element) -> "Effect":
+        """The form that is used on an element, on which the effect fits."""
+        return [form for form in self.forms() if form.fits(element)][-1]
+
     def places(self, element: Element, others: Sequence[Element]) -> tuple[Element, ...]:
         """The element itself, or once for each of the `others` that it may be paired with."""
         return (element,)
