@@ -96,7 +96,8 @@ class Seed:
         return self._iterate(believed, turn, replace(options, episodes=episodes))
 
     def _iterate(self, believed: Population | None, turn: int, options: Options, decoder: Any = None) -> Iteration:
-        psi, simulated = self._simulated(believed, turn) if believed else first_simulations(self.work)
+        count = self.work.settings.num_simulated
+        psi, simulated = self._simulated(believed, turn, count) if believed else first_simulations(self.work)
         believed = believed or Population.of(psi)
         each, key = np.repeat(psi, self.work.scene.num_steps, 0), self.work.key("iteration", self.number, turn)
         return iterate(self._real(turn), simulated, each, believed, key, options, self.work.progress, decoder)
@@ -104,16 +105,19 @@ class Seed:
     def _real(self, turn: int) -> Transitions:
         return self.work.real(self.number)[: self.work.scene.real_episodes[turn]].transitions
 
-    def _simulated(self, believed: Population, turn: int) -> tuple[Float[np.ndarray, "episodes psi"], Transitions]:
+    def _simulated(
+        self, believed: Population, turn: int, count: int
+    ) -> tuple[Float[np.ndarray, "episodes psi"], Transitions]:
         """psi of a population, and episodes under them."""
         work = self.work
         random = work.random(2, self.number, turn)
-        psi = work.scene.drawn(believed, random, work.settings.num_simulated)
+        psi = work.scene.drawn(believed, random, count)
         return psi, work.simulate(psi, "simulating", 2, self.number, turn).transitions
 
     def _marginal(self, believed: Population, last: int) -> Told:
-        _, simulated = self._simulated(believed, last)
-        options, key = Options.decoding(self.work.settings.decoder_steps), self.work.key(MARGINAL, self.number)
+        settings = self.work.settings
+        _, simulated = self._simulated(believed, last, settings.num_marginal or settings.num_simulated)
+        options, key = Options.decoding(settings.decoder_steps), self.work.key(MARGINAL, self.number)
         made, _ = marginal(simulated, key, options, self.work.progress)
         return self._scored(made, MARGINAL, len(self._real(last - 1)))
 

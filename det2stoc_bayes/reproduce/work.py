@@ -39,6 +39,7 @@ class Settings:
     baselines: tuple[int, ...] = (10, 100)  # episodes that each has
     episode_steps: int = 0  # of training the encoder of whole episodes; 0: their posteriors are the decoder's
     num_particles: int = 0  # of each recorded episode's posterior by the simulator itself; 0: it is not drawn
+    num_marginal: int = 0  # episodes that the model without a latent learns from; 0: as many as an iteration
 
 
 @dataclass(frozen=True, eq=False)

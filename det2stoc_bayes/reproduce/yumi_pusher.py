@@ -13,7 +13,7 @@ from det2stoc_bayes.reproduce.yumi_pusher_scene import SCENE
 FULL = Settings(
     num_seeds=3, num_iterations=3, num_first=2_000, num_simulated=2_000, first_steps=12_000, decoder_steps=6_000,
     num_test=30, num_draws=500, num_oracle=200, num_alarm=0, variants=False, baselines=(10, 1000), episode_steps=2_400,
-    num_particles=24,
+    num_particles=24, num_marginal=1_000,
 )  # fmt: skip
 QUICK = Settings(
     1, 2, 200, 100, 1000, 1000, 1000, 6, 100, 20, 0, variants=False, baselines=(10, 50), episode_steps=600,

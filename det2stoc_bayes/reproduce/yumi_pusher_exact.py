@@ -17,7 +17,7 @@ from det2stoc_bayes.models.yumi_pusher_likelihood import mode
 from det2stoc_bayes.reproduce.work import Work
 from det2stoc_bayes.transitions import Transitions
 
-STARTS = (8, 500)  # that each psi is tried from, and that covariances are found from
+STARTS = (6, 300)  # that each psi is tried from, and that covariances are found from
 QUICK, QUICKLY = 20, (4, 100)  # so few particles have so few starts
 TARGET_ESS = 0.7  # share of particles after a stage
 NUM_MOVES, NUM_LAST = 1, 1  # of a stage, and stages at the end: from a Student-t at the mode two lead to the posterior
