@@ -31,6 +31,7 @@ IMITATORS = (
     "rotating_frame constant_force actuator_bias sensor_bias gravity_tilt joint_spring",
     # losses in proportion to speed, and its square
     "viscous_damping linear_drag torque_speed_limit actuator_lag",
+    "viscous_contact_friction linear_drag",
     "quadratic_damping quadratic_drag linear_drag steady_wind",
     "coulomb_friction stribeck_friction load_dependent_friction hysteresis backlash",
     "coupling joint_spring viscous_damping",
@@ -125,7 +126,7 @@ def imitators(scene: Scene, effect: Effect) -> list[tuple[str, str]]:
 
 
 def _near(scene: Scene, effect: Effect) -> set[str] | None:
-    """Names of a joint, its body, its motors and its columns, given any of them; None: everything is near."""
+    """Names of a joint, its body and contacts, its motors and columns, given any of them; None: everything is near."""
     if effect.kind == "world":
         return None
     result: set[str] = {"time"}
@@ -133,10 +134,16 @@ def _near(scene: Scene, effect: Effect) -> set[str] | None:
         index = scene.model.joint(joint).id
         motors = [scene.model.actuator(a).name for a in motors_of(scene.model, joint)]
         body = scene.model.body(scene.model.jnt_bodyid[index]).name
-        unit = {joint, body, *motors, f"qpos/{joint}", f"qvel/{joint}"}
+        touching = {c for c in scene.contact if body in _bodies(scene.model, c)}
+        unit = {joint, body, *motors, f"qpos/{joint}", f"qvel/{joint}", *touching}
         if effect.element in unit:
             result |= unit
     return result | {effect.element}
+
+
+def _bodies(model: mujoco.MjModel, contact: str) -> set[str]:
+    """Names of the bodies whose geoms are a contact's."""
+    return {model.body(model.geom_bodyid[model.geom(name).id]).name for name in contact.split("/")}
 
 
 def _by_theory(model: mujoco.MjModel, effect: Effect) -> list[Accepted]:

@@ -86,6 +86,7 @@ def contact_elements(model: mujoco.MjModel, pairs: list[tuple[int, int]]) -> lis
         named = all(model.geom(g).name and "/" not in model.geom(g).name for g in pair)
         has = {"paired": at.pair >= 0, "free": alone, "timed": (solref[:, 0] > 0).all(), "named": named}
         traits = {trait for trait, on in has.items() if on}
+        at = replace(at, geom_names=tuple(model.geom(g).name for g in geoms) if named else ())
         out.append(replace(at, traits=frozenset(traits)))
     return out
 

@@ -1,5 +1,6 @@
 """Simulations in C that are stepped together."""
 
+import copy
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -23,6 +24,7 @@ _SET_CONST_OUTPUTS = (
     "actuator_acc0", "actuator_length0", "body_invweight0", "body_subtreemass", "dof_M0", "dof_invweight0",
     "dof_length", "eq_data", "tendon_invweight0", "tendon_length0",
 )  # fmt: skip
+ADHESION = frozenset({"geom_adhesion", "pair_adhesion"})
 LIGHT = 24  # degrees of freedom in all, for which threads would wait for each other at every step longer than it takes
 FEWER = 4  # times fewer different values than simulations: then each is derived once
 
@@ -45,6 +47,10 @@ class Chunk:
         kept = pushed and model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
         by_steps = self.stepped or request.observer is not None
         threads = 1 if by_steps and self.count * model.nv < LIGHT else threads
+        changed = {*request.fields, *(name for e in self.effects for name in e.placed.effect.changes)}
+        if not changed.isdisjoint(ADHESION):  # which MuJoCo looks at where the compiled model has some
+            model = copy.copy(model)
+            model.flg_adhesion = True
         self.batch = mujoco.batch.Batch(model, self.count, threads, persistent=kept)
 
     def run(self, states: bool) -> Trajectory:

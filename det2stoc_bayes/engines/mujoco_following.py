@@ -124,11 +124,9 @@ class Follower:
         if not self.told[j]:
             return
         place, push = corrected(self.model, there["qpos"], self.gains[rows, j], self._error(j, rows, predicted))
-        self.live["qpos"][rows] = states["qpos"][rows, j] = place
-        self.live["qvel"][rows] += push
+        states["qpos"][rows, j] = place
         states["qvel"][rows, j] += push
-        if self.stepper is not None:
-            self.stepper.past[rows] += push
+        self._correct(rows, place, push)
 
     def _lead(self, j: int, rows: Int[np.ndarray, " rows"] | slice, columns: np.ndarray, states: dict) -> None:
         """Read off sample j of some simulations, and correct their states by it."""
@@ -145,12 +143,16 @@ class Follower:
             return
         now = self.live["qpos"][rows]
         moved, push = (place, push) if np.array_equal(now, there["qpos"]) else corrected(self.model, now, gain, error)
-        self.live["qpos"][rows] = moved
+        self._correct(rows, moved, push)
+        for n in ("qpos", "qvel"):
+            self.led[n][rows, self.done] = self.live[n][rows]
+
+    def _correct(self, rows: Int[np.ndarray, " rows"] | slice, place: np.ndarray, push: np.ndarray) -> None:
+        """Where simulations go on from: their corrected positions, and speeds changed by a push."""
+        self.live["qpos"][rows] = place
         self.live["qvel"][rows] += push
         if self.stepper is not None:
             self.stepper.past[rows] += push
-        for n in ("qpos", "qvel"):
-            self.led[n][rows, self.done] = self.live[n][rows]
 
     def _read(
         self, name: str, indices: Sequence[int] | np.ndarray, rows: np.ndarray, at: Float[np.ndarray, "rows one"]

@@ -21,7 +21,7 @@ MOST_SHOWN = 6  # numbers of a vector that are written out for a reader
 WIDTH = 100  # of what is put on one line
 CLOCK = "opt.timestep"  # an effect that changes it makes the recorded clock another than the simulation's
 # Hook of an effect -> its table in effects.py, and the functions of the runtime that serve it.
-_COLUMNS = ("measure", "at_time", "arrays", "place_of")
+_COLUMNS = ("measure", "given", "at_time", "arrays", "place_of")
 _MIDDLE = ("lead_of", "remember_speed", "middle_speed", "follow")
 _SERVED: dict[str, tuple[str, tuple[str, ...]]] = {
     "joint_force": ("JOINT_FORCES", ("add_joint_forces", "joint_and_actuators", "joint_state", "drive_of", *_MIDDLE)),
@@ -59,6 +59,7 @@ _LOOP = """
     model = mujoco.MjModel.from_xml_path("patched.xml")
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = qpos, qvel     # as recorded
+    data.time = time                            # of that sample
     effects.reset(model, data)                  # after each reset of data
     while True:
         data.ctrl[:] = command                  # as recorded
@@ -119,7 +120,7 @@ def _row(placed: PlacedEffect, values: Values, hook: str, laws: "_Laws", constan
     given = {name: np.asarray(value, float) for name, value in values.items()}
     if hook == "clock":
         return repr(float(1 / placed.effect.fields(given, {CLOCK: np.ones(())}, placed.element, np)[CLOCK]))
-    row = [repr(placed.element.column or placed.element.name), laws.add(placed.effect, hook), constants]
+    row = [repr(_name(placed)), laws.add(placed.effect, hook), constants]
     if hook == "momentary":
         row = [repr(placed.element.kind), *row, repr(placed.effect.writes), repr(placed.effect.reads)]
     if hook == "body_force":
@@ -130,6 +131,12 @@ def _row(placed: PlacedEffect, values: Values, hook: str, laws: "_Laws", constan
         row.append(repr(placed.effect.memory(given)))
     line = ", ".join(row)
     return f"({line})" if len(line) < WIDTH else f"({''.join(f'\n        {cell},' for cell in row)}\n    )"
+
+
+def _name(placed: PlacedEffect) -> str:
+    """What the runtime looks an element up by; of a contact's geoms the one whose fields are rewritten comes last."""
+    at = placed.element
+    return "/".join(at.geom_names) or at.column or at.name
 
 
 class _Laws:

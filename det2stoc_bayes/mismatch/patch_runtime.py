@@ -103,12 +103,15 @@ def remember_state(model, data):
 def measure(model, data, columns):
     """What is recorded now for each of the columns, as qpos/elbow, qvel/base/wx or sensor/force/0.
 
-    A column that no effect changes has its plain value. Sensors are evaluated for the present state, with the
-    forces and controls of the last step.
+    A column that no effect changes has its plain value, `ctrl/...` the command. Sensors are evaluated for the present
+    state, with the forces and controls of the last step.
     """
     now = arrays(model, data, any(column.startswith("sensor/") for column in columns))
     recorded = {}
     for column in columns:
+        if column == "time" or column.startswith("ctrl/"):
+            recorded[column] = float(given(model, data, column))
+            continue
         source, index = place_of(model, column)
         time = np.array([data.time])
         for _, law, p in (e for e in SAMPLE_TIMES if e[0] in (column, "time")):
@@ -118,6 +121,14 @@ def measure(model, data, columns):
             value = law(p, np.array([data.time]), value, np)
         recorded[column] = float(value[0])
     return recorded
+
+
+def given(model, data, column):
+    """What a recording has beside states: its time, and what was commanded, whatever arrives at the actuators."""
+    if column == "time":
+        return data.time
+    commands = memory_of(model, data).commands
+    return (commands[-1][1] if commands else data.ctrl)[model.actuator_ctrladr[model.actuator(column[5:]).id]]
 
 
 def at_time(states, now_time, now, time, source, index):

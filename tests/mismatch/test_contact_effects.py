@@ -34,6 +34,8 @@ VALUES = {
     "torsional_friction": {"coefficient": 0.03},
     "contact_stiffness": {"time_constant": 0.05},
     "restitution_error": {"damping_ratio": 0.2},
+    "adhesion": {"force": 2.0},
+    "viscous_contact_friction": {"coefficient": 2.0},
     "friction_patch": {"ratio": 0.3, "point": [0.25, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]},
 }
 TIME = np.arange(41) * 0.01
@@ -48,11 +50,14 @@ def load(text):
     return module
 
 
-def scene(tmp_path, extra=""):
-    study = make_study(tmp_path / "study", SCENE.format(extra))
+def scene(tmp_path, extra="", half=0.1, gravity="0 0 -9.81"):
+    """The box is so high, m."""
+    low = SCENE.replace("0.0999", f"{half - 1e-4}").replace("0.1 0.1 0.1", f"0.1 0.1 {half}")
+    low = low.replace("timestep", f'gravity="{gravity}" timestep')
+    study = make_study(tmp_path / "study", low.format(extra))
     simulator = Simulator(study, num_threads=1)
     segments = cut([blank_recording(simulator.model, TIME)])
-    pairs, _ = contacts.touching(simulator.model, START.qpos - np.array([0, 0, 0.0201, 0, 0, 0, 0]))
+    pairs, _ = contacts.touching(simulator.model, START.qpos * [1, 1, 0, 1, 1, 1, 1] + np.eye(7)[2] * (half - 1e-4))
     (at,) = contacts.contact_elements(simulator.model, pairs)
     return study, simulator, segments, at
 
@@ -106,6 +111,39 @@ def test_a_ratio_of_friction_scales_the_deceleration(tmp_path):
     # measured: 0.957 and 1.026 of Coulomb's, since the box still rocks a little
     assert slow[0] == pytest.approx(0.3 * 9.81, rel=0.06)
     assert slow[1] == pytest.approx(0.15 * 9.81, rel=0.06)
+
+
+@pytest.mark.parametrize(("force", "stays"), [(2.0, True), (0.5, False)])
+def test_what_sticks_does_not_slide_where_its_corners_press_enough(tmp_path, force, stays):
+    """A pull of 4 N along the ground, on 1 kg by friction of 0.3: held from 0.88 N a corner on."""
+    _, simulator, segments, at = scene(tmp_path, half=0.01, gravity="4 0 -9.81")
+    start = replace(START, qpos=np.array([[0.0, 0, 0.01, 1, 0, 0, 0]]), qvel=np.zeros((1, 6)))
+    way = rollout(simulator, segments, [(place("adhesion", at), {"force": force})], start)[-1, 0]
+    assert way < 0.01 if stays else way > 0.02, way
+
+
+def test_what_rubs_by_speed_slows_in_proportion(tmp_path):
+    """By c v, beside dry friction; of 1 kg that slides, too low to rock."""
+    _, simulator, segments, at = scene(tmp_path, half=0.01)
+    start = replace(START, qpos=np.array([[0.0, 0, 0.01, 1, 0, 0, 0]]), qvel=np.array([[2.0, 0, 0, 0, 0, 0]]))
+    speed = list(segments.columns).index("qvel/move/vx")
+    effects = (), [(place("viscous_contact_friction", at), {"coefficient": 2.0})]
+    plain, rubbed = (rollout(simulator, segments, e, start)[10:, speed] for e in effects)
+    extra = (np.diff(plain[[0, -1]]) - np.diff(rubbed[[0, -1]]))[0] / 0.3
+    assert extra == pytest.approx(2.0 * rubbed.mean(), rel=0.1)
+
+
+def test_an_adhesion_that_is_psi_acts_though_the_model_has_none(tmp_path):
+    """MuJoCo looks at adhesions where the compiled model has some."""
+    _, simulator, segments, _ = scene(tmp_path)
+    fields = simulator.fields(np.zeros((1, 0)), ["blank"])
+    sticky = np.array(simulator.model.geom_adhesion, float)[None]
+    sticky[0, simulator.model.geom("hull").id] = 5.0
+    plain, stuck = (
+        simulator.rollout(Request(segments, np.zeros(1, int), START, f))
+        for f in (fields, {**fields, "geom_adhesion": sticky})
+    )
+    assert np.abs(plain - stuck).max() > 1e-2
 
 
 def frictions(model):

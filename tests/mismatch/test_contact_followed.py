@@ -9,13 +9,14 @@ from conftest import make_study
 from sliding import PSI, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact import fit as fit_module
 from det2stoc_bayes.mismatch.contact import judge, run
 from det2stoc_bayes.mismatch.contact import yardstick as yardstick_module
 from det2stoc_bayes.mismatch.contact.believed import FINER, MEMBERS, believed, searched
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.differences import STEPS, columns_of, steady
 from det2stoc_bayes.mismatch.contact.evolution import PATIENCE, evolved
-from det2stoc_bayes.mismatch.contact.fit import _along, _taught, at, fit_followed
+from det2stoc_bayes.mismatch.contact.fit import _taught, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
 from det2stoc_bayes.mismatch.contact.judge import corrected, judged
 from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, climbed, nearer, with_memory, with_own
@@ -515,15 +516,22 @@ def test_a_fit_that_is_taught_by_one_nearby_ends_at_the_same_place(problem, slid
     assert all(f.sizes is not None and np.isfinite(f.sizes).all() for f in at_once)
 
 
-@pytest.mark.parametrize(("share", "best", "asked"), [(1.0, 1.0, 3), (0.3, 0.3, 2), (3.0, 3.0, 3), (0.1, 0.1, 3)])
+@pytest.mark.parametrize(("share", "best", "asked"), [(1.0, 1.0, 1), (0.3, 0.3, 2), (3.0, 3.0, 2), (0.1, 0.1, 3)])
 def test_along_a_step_is_asked_where_it_can_be_better(problem, sliding, monkeypatch, share, best, asked):
     """A step that is right, too long, too short, and much too long."""
-    followed = Followed(problem, 6.0).hearing(sliding)
-    top = fit_followed(followed, np.full(1, 0.2)).z
-    fit, told = at(followed, top - 0.1), []
-    errors = Followed.errors
-    monkeypatch.setattr(Followed, "errors", lambda self, z: told.extend(z) or errors(self, z))
-    found = _along(fit, np.full(1, 0.1 / share))
+    fit, told = at(Followed(problem, 6.0).hearing(sliding), np.full(1, -0.96)), []
+    slope = (fit.slopes.sum(0) - fit.z)[0]
+
+    def parabola(followed, z):
+        told.extend(z)
+        found = [fit_module.ContactFit(followed, one, fit.errors, fit.scales) for one in z]
+        for one in found:
+            x = one.z[0] - fit.z[0]
+            one.__dict__["losses"] = np.array([fit.loss - slope * x * (1 - x / 0.2) - 0.5 * one.z @ one.z])
+        return found
+
+    monkeypatch.setattr(fit_module, "fits_at", parabola)
+    found = fit_module._along(fit, np.full(1, 0.1 / share))
     assert len(told) == asked
     np.testing.assert_allclose(found.z, fit.z + best * 0.1 / share)
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -103,7 +104,10 @@ def test_a_lead_that_a_rivals_own_recordings_give_is_no_proof(followed, pool, mo
     leads = dict(zip([id(m.problem) for m in (*own, *others)], [162.0, 131.0, 198.0, 50.0, 110.0, 55.0], strict=True))
 
     def odds_at(observed):
-        monkeypatch.setattr(rattle, "lead", lambda a, b, followed: leads.get(id(followed.problem), observed))
+        def behind(fit, followed):
+            return SimpleNamespace(loss=leads.get(id(followed.problem), observed) if fit is rival else 0.0)
+
+        monkeypatch.setattr(rattle, "refitted", behind)
         return rattle.log_odds(leader, rival, own, others, 6.0)
 
     assert 0.7 < odds_at(101.3) < 1.1  # for the rival
@@ -123,4 +127,10 @@ def test_where_what_nothing_leads_diverges_the_lead_alone_is_asked(followed, poo
     monkeypatch.setattr(rattle, "moved_freely", diverged)
     others = rattle.made_by(rival, 0)
     assert len(own) == rattle.NUM_MADE and others == []
-    assert rattle.log_odds(leader, rival, own, others, 2.0) == -rattle.lead(leader, rival, leader.followed)
+    leader.prepare()
+    rival.prepare()
+    first, second = (rattle.refitted(fit, leader.followed).loss for fit in (leader, rival))
+    assert rattle.log_odds(leader, rival, own, others, 2.0) == first - second
+    known = []
+    odds = rattle.log_odds(leader, rival, own, [], 2.0, lambda f: known.append(f) or rattle.refitted(leader, f))
+    assert known == [leader.followed] and odds == first - second

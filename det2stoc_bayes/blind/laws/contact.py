@@ -48,6 +48,28 @@ def _bouncy(model: mujoco.MjModel, element: str, p: Parameters) -> None:
     model.geom_solref[_outrank(model, element), 1] = p["damping_ratio"]
 
 
+def _sticky(model: mujoco.MjModel, element: str, p: Parameters) -> None:
+    model.geom_adhesion[_outrank(model, element)] += p["force"]
+    model.flg_adhesion = True
+
+
+def _viscous(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
+    """A force against the speed of the moving body's centre while any point of the two touches."""
+    mover, still = geoms_of(model, element)
+    body = int(model.geom_bodyid[mover])
+    speed = np.zeros(6)
+
+    def rub(data: mujoco.MjData, t: float) -> None:
+        pairs = {frozenset((int(c.geom1), int(c.geom2))) for c in data.contact[: data.ncon] if c.dist <= 0.0}
+        if frozenset((mover, still)) not in pairs:
+            return
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, speed, 0)
+        force, turn = -p["coefficient"] * speed[3:], np.zeros(3)
+        mujoco.mj_applyFT(model, data, force, turn, data.xipos[body], body, data.qfrc_applied)
+
+    return rub
+
+
 def _patch(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
     """Another friction while the moving body's frame is beyond a plane."""
     mover, _ = geoms_of(model, element)
@@ -85,6 +107,11 @@ def _number(scene: Scene, element: str, place: int) -> float:
 def _size(scene: Scene, element: str) -> float:
     mover, _ = geoms_of(scene.model, element)
     return float(np.max(scene.model.geom_aabb[mover, 3:]))
+
+
+def _weight(scene: Scene, element: str) -> float:
+    mover, _ = geoms_of(scene.model, element)
+    return float(scene.model.body_mass[scene.model.geom_bodyid[mover]] * np.linalg.norm(scene.model.opt.gravity))
 
 
 def _ratio(m: float, drawn: Parameters) -> Parameters:
@@ -128,6 +155,22 @@ CONTACT_LAWS: dict[str, Law] = {
         lambda m, drawn: {"coefficient": m},
         fits=_often,
         prepare=_turning,
+    ),
+    "adhesion": Law(
+        "contact",
+        {"force": "N"},
+        lambda s, e: 0.5 * _weight(s, e),
+        lambda m, drawn: {"force": m},
+        fits=_often,
+        prepare=_sticky,
+    ),
+    "viscous_contact_friction": Law(
+        "contact",
+        {"coefficient": "N s/m"},
+        lambda s, e: 0.5 * _weight(s, e),
+        lambda m, drawn: {"coefficient": m},
+        fits=_often,
+        push=_viscous,
     ),
     "contact_stiffness": Law(
         "contact",

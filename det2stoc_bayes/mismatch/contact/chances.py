@@ -33,9 +33,9 @@ def chances(
 
 def alike(a: Pair, b: Pair, luck: float = LUCK) -> Bool[np.ndarray, ""]:
     """Whether two hypotheses predict the same, within a small part of the noise."""
-    if a.fit.followed.memory != b.fit.followed.memory or abs(a.height - b.height) > luck:
+    if a.fit.followed.memory != b.fit.followed.memory or apart(a.fit, b.fit) >= ALIKE:
         return np.asarray(False)
-    return np.asarray(apart(a.fit, b.fit) < ALIKE)
+    return np.asarray(abs(a.height - b.height) <= luck)
 
 
 def as_the_best(pairs: Sequence[Pair], luck: float = LUCK) -> list[Pair]:

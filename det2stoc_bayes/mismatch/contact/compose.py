@@ -153,7 +153,7 @@ class ContactComposer:
             rollout_rmse_before=dict(zip(columns, rmse["before"].tolist(), strict=True)),
             rollout_rmse_after=dict(zip(columns, rmse["after"].tolist(), strict=True)),
             rollout_rmse_noise=dict(zip(columns, before.fit.problem.noise.tolist(), strict=True)),
-            unexplained_share=said.unexplained if said.verdict == "mismatch" else 1.0 if said.excess > 0 else 0.0,
+            unexplained_share=said.unexplained if said.verdict == "mismatch" else float(said.exceeds),
             heldout_chose=bool(self.study.holdout) and bool(said.places),
         )
 

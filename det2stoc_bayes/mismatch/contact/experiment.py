@@ -13,6 +13,8 @@ MOTIONS = {
     "torsional_friction": "turning on the spot until rest",
     "contact_stiffness": "long rests under more and less weight",
     "restitution_error": "drops from several heights",
+    "adhesion": "slides and slow lifts under more and less weight",
+    "viscous_contact_friction": "slides of several speeds that begin fast",
     "friction_patch": "slides over several places, each of them in two directions",
     "linear_drag": "slow flights that touch nothing",
     "quadratic_drag": "flights at several high speeds that touch nothing",

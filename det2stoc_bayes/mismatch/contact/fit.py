@@ -16,8 +16,8 @@ from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.scales import Scales, scales_of, scatter
 from det2stoc_bayes.problem import Problem
 
-FRACTIONS = (1.0, 0.3)  # of a step that are tried
-FURTHER, BACK = 3.0, 0.1  # of it, where the whole step is the better one, or neither tells anything better
+SHORTER, FURTHER, BACK = 0.3, 3.0, 0.1  # of a step that are tried where the whole one is not enough or too much
+LITTLE, MUCH = 0.23, 0.75  # of what slopes promise: beyond them, on a parabola, SHORTER or FURTHER gains more
 LARGEST_STEP = 2.0  # prior sds at once
 ITERATIONS = 10
 SETTLED = 0.1  # nats
@@ -171,7 +171,8 @@ def fit_followed(
     than `settled` nats is the last.
     """
     z = np.zeros(followed.problem.size) if z is None else np.array(z, float)
-    fit = _best(followed, np.stack([z, *others]))
+    there = like is not None and like.followed is followed and not len(others) and np.array_equal(like.z, z)
+    fit = _own(like) if like is not None and there else _best(followed, np.stack([z, *others]))
     fit = fit if like is None else _taught(fit, like)
     again = False
     while iterations > 0:
@@ -203,15 +204,23 @@ def _taught(fit: ContactFit, like: ContactFit) -> ContactFit:
 
 def _along(fit: ContactFit, step: Float[np.ndarray, " size"]) -> ContactFit:
     """The likeliest of what lies along a step, which is often too short where sensitivities to both sides disagree."""
-    far, near = fits_at(fit.followed, np.stack([within(fit, fit.z + f * step) for f in FRACTIONS]))
-    best = min((far, near), key=lambda f: f.loss)
-    if best.loss >= fit.loss:
-        more = BACK
-    elif best is near:
-        return near
-    else:
-        more = FURTHER
-    return min((best, *fits_at(fit.followed, within(fit, fit.z + more * step)[None])), key=lambda f: f.loss)
+
+    def after(part: float) -> ContactFit:
+        return fits_at(fit.followed, within(fit, fit.z + part * step)[None])[0]
+
+    whole = after(1.0)
+    gain, promised = fit.loss - whole.loss, float((fit.slopes.sum(0) - fit.z) @ (whole.z - fit.z))
+    if LITTLE * promised < gain < MUCH * promised:
+        return whole
+    if gain >= MUCH * promised > 0:
+        return min((whole, after(FURTHER)), key=lambda f: f.loss)
+    best = min((whole, after(SHORTER)), key=lambda f: f.loss)
+    return best if best.loss < fit.loss else min((best, after(BACK)), key=lambda f: f.loss)
+
+
+def _own(fit: ContactFit) -> ContactFit:
+    """The same under the scales of its own errors."""
+    return ContactFit(fit.followed, fit.z, fit.errors, scales_of(fit.errors))
 
 
 def _best(followed: Followed, z: Float[np.ndarray, "variants size"]) -> ContactFit:

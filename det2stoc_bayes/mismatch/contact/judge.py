@@ -13,7 +13,7 @@ from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, paired, with_me
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.search import Round
 from det2stoc_bayes.mismatch.contact.top import topped
-from det2stoc_bayes.mismatch.contact.yardstick import Yardstick, yardstick
+from det2stoc_bayes.mismatch.contact.yardstick import SURELY, Yardstick, yardstick
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 from det2stoc_bayes.mismatch.undecided import unmoved
@@ -50,6 +50,11 @@ class Verdict:
     def shown(self) -> Pair:
         """Nothing is added that could not be named."""
         return self.after if self.verdict == "mismatch" else self.before
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether the believed model surely leaves more than it would on recordings of its own."""
+        return self.excess * self.rod.level > SURELY * self.rod.uncertain(self.before)
 
     @property
     def finer(self) -> int:

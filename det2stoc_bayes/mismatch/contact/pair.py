@@ -31,6 +31,11 @@ class Pair:
     fit: ContactFit
     held: ContactFit
 
+    @cached_property
+    def remembering(self) -> dict[float, "Pair"]:
+        """Refits with other memories that are known."""
+        return {}
+
     @property
     def placed(self) -> PlacedEffect:
         """The effect that was added last."""
@@ -167,11 +172,13 @@ def remembering_more(pair: Pair, luck: float) -> Pair | None:
 
 def with_memory(pair: Pair, memory: float) -> Pair:
     """The same hypothesis refitted with a given memory."""
-    fit = pair.fit
+    fit, known = pair.fit, pair.remembering
     if memory == fit.followed.memory:
         return pair
-    again = fit_followed(fit.followed.remembering(memory), fit.z, iterations=SKETCH, like=fit)
-    return paired(again, pair.held.followed)
+    if memory not in known:
+        again = fit_followed(fit.followed.remembering(memory), fit.z, iterations=SKETCH, like=fit)
+        known[memory] = paired(again, pair.held.followed)
+    return known[memory]
 
 
 def without_last(pair: Pair, memory: float) -> ContactFit:

@@ -8,6 +8,7 @@ families of hypotheses; Wood, 2010, synthetic likelihood).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 from scipy import stats
@@ -69,11 +70,13 @@ def rivals(
 
     progress("weighing rivals", 0, 1 + len(worth))
     pairs = side_by_side(led.problem, fit_of, worth)
-    pairs = [p for p in as_the_best([leader, *pairs], luck)[1:] if not alike(p, leader, luck)]
-    made, weighed = made_by(leader.fit, seed), []
+    asked = [p for p in pairs if p in fitted]  # before, how near they come to what the leader predicts
+    pairs = asked + as_the_best([leader, *(p for p in pairs if p not in asked)], luck)[1:]
+    pairs = [p for p in pairs if not alike(p, leader, luck)]
+    made, alone, weighed = made_by(leader.fit, seed), cache(partial(refitted, leader.fit)), []
     for k, pair in enumerate(pairs):
         progress("weighing rivals", 1 + k, 1 + len(pairs))
-        weighed.append(Rival(pair, log_odds(leader.fit, pair.fit, made, made_by(pair.fit, seed), luck)))
+        weighed.append(Rival(pair, log_odds(leader.fit, pair.fit, made, made_by(pair.fit, seed), luck, alone)))
     progress("weighing rivals", 1, 1)
     return tuple(weighed)
 
@@ -86,18 +89,24 @@ def made_by(fit: ContactFit, seed: int) -> list[Followed]:
 
 
 def log_odds(
-    leader: ContactFit, rival: ContactFit, by_leader: Sequence[Followed], by_rival: Sequence[Followed], luck: float
+    leader: ContactFit,
+    rival: ContactFit,
+    by_leader: Sequence[Followed],
+    by_rival: Sequence[Followed],
+    luck: float,
+    alone: Callable[[Followed], ContactFit] | None = None,
 ) -> float:
     """Of a rival against its leader, by how far that leads on what was recorded and on what either of them made.
 
     Of few leads a predictive Student-t; they scatter by bumps, whose height (nats) is `luck`, at least. Where one of
-    them makes no recordings the lead itself is all there is.
+    them makes no recordings the lead itself is all there is. `alone` fits the leader, and may know what it has fitted.
     """
     leader.prepare()
     rival.prepare()
+    alone = alone or partial(refitted, leader)
     each = [*by_leader, *by_rival] if by_leader and by_rival else []
     told = [leader.followed, *(m.remembering(leader.followed.memory) for m in each)]
-    there, *leads = side_by_side(leader.problem, lambda followed: lead(leader, rival, followed), told)
+    there, *leads = side_by_side(leader.problem, lambda f: refitted(rival, f).loss - alone(f).loss, told)
     if not leads:
         return -there
     of_each = np.array(leads).reshape(2, -1)
@@ -106,12 +115,7 @@ def log_odds(
     return float(by_second - by_first)
 
 
-def lead(leader: ContactFit, rival: ContactFit, followed: Followed) -> float:
-    """Nats by which the leader is ahead on some recordings, both fitted to these."""
-    first, second = (
-        fit_followed(
-            followed.with_problem(followed.problem.with_effects(f.problem.effects)), f.z, iterations=SKETCH, like=f
-        )
-        for f in (leader, rival)
-    )
-    return second.loss - first.loss
+def refitted(fit: ContactFit, followed: Followed) -> ContactFit:
+    """A hypothesis after a few steps on other recordings; all are asked so, those that were recorded as well."""
+    there = followed.with_problem(followed.problem.with_effects(fit.problem.effects))
+    return fit_followed(there, fit.z, iterations=SKETCH, like=fit)

@@ -44,6 +44,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     pool = [] if lone else candidates(first.fit.problem, elements_of(first.fit))
     base, rounds = first, []
     rod: Yardstick | None = None  # of the base, where that is at its top
+    measured: tuple[Pair, Yardstick] | None = None
     while len(rounds) < MAX_EFFECTS and not (rod is not None and _settled(rounds[0].base, base, rod, progress)):
         one = look(base, pool, progress, seed) if pool else Round(base, (), (), None)
         rounds.append(one)
@@ -54,9 +55,11 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         if one.rivals and classes(one, np.random.default_rng(seed))[0].chance < SURE:
             break  # what else is missing depends on which of them it is
         progress("measuring what is left", 0, 1)
-        base, rod = _measured(base, seed)
+        base, rod = measured = _measured(base, seed)
     progress("scoring held-out recordings", 0, 1)
     before = rounds[0].base
+    if measured is not None and measured[0] is base:
+        rod = measured[1]
     if rod is None:
         alone = base is before
         base, rod = _measured(base, seed)
@@ -112,4 +115,5 @@ def _patch(said: Verdict, composer: ContactComposer) -> Patch:
     psi = dict(zip((p.name for p in study.parameters), means, strict=True))
     values = fit.problem.effect_values(fit.z[None])
     effects = [(e, {k: v[0] for k, v in p.items()}) for e, p in zip(fit.problem.effects, values, strict=True)]
-    return make_patch(study, psi, effects)
+    problem = fit.problem
+    return make_patch(study, psi, effects, timestep=problem.timestep, integrator=problem.integrator)

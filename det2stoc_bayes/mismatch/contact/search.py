@@ -31,6 +31,7 @@ from det2stoc_bayes.mismatch.contact.yardstick import LEAST_BLOCKS
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.shortlist import shortlist
+from det2stoc_bayes.problem import Problem
 
 NUM_SKETCHED = 10  # the most promising candidates, of which some steps are made,
 NUM_REFINED = 5  # and the best of them, which are fitted to the end
@@ -39,6 +40,7 @@ BEGUN, DRAWN, FITTED = 0.2, 0.4, 0.6  # of the best's gain: who has less after a
 LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less is not fitted
 MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
 NEAR = 0.3  # share of the best's gain behind which none comes near any more
+SO_HIGH = 10.0  # times as high as bumps: a lead that they do not turn
 LEAST_CERTAIN = 3.0  # standard errors of the gain over blocks: of those fitted
 HELD_GAIN = 3.0  # nats of it on recordings held out
 TIMES = 3.0  # what chance gains at most
@@ -82,7 +84,7 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
         there = nearer(without_last(found[0], ground.followed.memory))
     if np.abs(there.z - ground.z).max(initial=0.0) > MOVED:
         latest = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
-        again = refined(first, there, [s for s in latest if s.gain > least], first_luck, progress)
+        again = refined(first, there, [s for s in latest if s.gain > least], first_luck, progress, found)
         found = best_of_each([*found, *again])
     base = better_base(first, found, first_luck, longer=False)
     if not found or found[0].gain(base) <= -first_luck:  # for additions are not beyond their bumps yet
@@ -91,7 +93,8 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     found = near_remembered(base, found, first_luck, progress)
     base = better_base(base, found, first_luck, longer=True)
     found, luck = smoothed(base, found, first_luck, progress, seed)
-    base = base if first_luck >= BUMPY else beyond_bumps(base, luck)
+    if first_luck < BUMPY and found[0].gain(base) < SO_HIGH * luck:
+        base = beyond_bumps(base, luck)
     chance = partial(gain_by_chance, base, [p.placed for p in found], seed, progress, luck)
     needed = max(threshold(len(others)), luck)
     taken = found[0] if earns(base, found[0], needed, chance) else None
@@ -123,7 +126,9 @@ def better_base(base: Pair, found: Sequence[Pair], luck: float, *, longer: bool)
         return base
     there = without_last(found[0], found[0].fit.followed.memory)
     other = paired(fit_followed(there.followed, there.z, like=base.fit), base.held.followed)
-    other = beyond_bumps(remembered(other), luck) if longer else other
+    other = remembered(other) if longer else other
+    if longer and found[0].gain(other) < SO_HIGH * luck:
+        other = beyond_bumps(other, luck)
     return min((base, other), key=lambda p: p.height)
 
 
@@ -137,11 +142,19 @@ def _screened(fit: ContactFit, pool: Sequence[PlacedEffect], progress: Progress)
     return screen(fit, pool, advance)
 
 
-def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], luck: float, progress: Progress) -> list[Pair]:
+def refined(
+    base: Pair,
+    ground: ContactFit,
+    screened: Sequence[Promise],
+    luck: float,
+    progress: Progress,
+    known: Sequence[Pair] = (),
+) -> list[Pair]:
     """Those that promise most, sketched, and of these the best, fitted; the first from each of its sketches.
 
     Who falls far behind on some of the recordings is left there, after a first step or a sketch, beyond what `luck`
-    does there. What leads psi back from where the ground has it is no addition's merit.
+    does there. What leads psi back from where the ground has it is no addition's merit. A sketch that only comes back
+    to what is `known` is not fitted again.
     """
     worth = shortlist(screened, NUM_SKETCHED)
     worth += [o for s in worth[:3] for o in s.others if o.gain > ALSO * s.gain]
@@ -158,11 +171,19 @@ def refined(base: Pair, ground: ContactFit, screened: Sequence[Promise], luck: f
     best = {s.problem.effects[-1]: s for s in reversed(sketches)}
     chosen = sorted(best.values(), key=lambda f: f.loss)[:NUM_REFINED]
     chosen += [s for s in sketches if s.problem.effects == chosen[0].problem.effects and s is not chosen[0]]
+    fitted = {p.placed: at(few.followed.with_problem(_adding(few, p.placed)), p.fit.z).loss for p in known}
+    chosen = [s for s in chosen if s.loss < fitted.get(s.problem.effects[-1], np.inf) - slack]
     whole = tell(lambda f: on_all(f, ground), chosen, 2 * len(worth))
-    whole = in_reach(whole, min(ground.loss, base.fit.loss), FITTED, luck)
+    ends = in_reach([*whole, *(p.fit for p in known)], min(ground.loss, base.fit.loss), FITTED, luck)
+    whole = [f for f in whole if f in ends]
     pairs = tell(lambda f: finished(f, base.held.followed, luck), whole, 2 * len(worth) + NUM_REFINED)
     progress("refining the best", 1, 1)
     return best_of_each(pairs)
+
+
+def _adding(fit: ContactFit, placed: PlacedEffect) -> Problem:
+    """A fit's hypothesis with one more effect."""
+    return fit.problem.with_effects((*fit.problem.effects, placed))
 
 
 def in_reach(fits: Sequence[ContactFit], bare: float, part: float, slack: float) -> list[ContactFit]:
@@ -204,12 +225,19 @@ def _near(base: Pair, found: Sequence[Pair]) -> list[Pair]:
 
 
 def smoothed(base: Pair, found: Sequence[Pair], luck: float, progress: Progress, seed: int) -> tuple[list[Pair], float]:
-    """Those near the best beyond their nearest bumps, best first, and how high these are about it or the base, nats."""
+    """Those near the best beyond their nearest bumps, best first, and how high these are about it or the base, nats.
+
+    Where a lead is many times as high nobody goes beyond them: the order would stay.
+    """
     luck = max(luck, bumps(found[0].fit, np.random.default_rng([seed, 5])))
-    near = _near(base, found)
+    near, ahead = _near(base, found), found[0].height + SO_HIGH * luck
+    contested = [p for p in near if p.height < ahead]
+    if len(contested) == 1 and base.height > ahead:
+        contested = []
     beyond = partial(beyond_bumps, luck=luck)
-    done = side_by_side(base.fit.problem, beyond, near, lambda k: progress("polishing", k, len(near)))
+    done = side_by_side(base.fit.problem, beyond, contested, lambda k: progress("polishing", k, len(contested)))
     progress("polishing", 1, 1)
+    done += [p for p in near if p not in contested]
     alone = as_the_best(best_of_each(done), luck)
     return best_of_each([*alone, *(p for p in found if p not in near)]), luck
 

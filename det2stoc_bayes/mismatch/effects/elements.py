@@ -35,6 +35,7 @@ class Element:
     source_qpos: int = -1
     reach: tuple[float, float] = (0.0, 0.0)
     geoms: tuple[int, int] = (-1, -1)  # of a contact; the second is the one that effects change
+    geom_names: tuple[str, ...] = ()  # of these, where both have one
     pair: int = -1  # of a contact that the model lists
     traits: frozenset[str] = frozenset()
 
