@@ -99,6 +99,12 @@ def _often(scene: Scene, element: str) -> bool:
     return scene.contact[element]["share"] > 0.15
 
 
+def _mostly(scene: Scene, element: str) -> bool:
+    """Whether a body slides on something fixed nearly all the time."""
+    _, still = geoms_of(scene.model, element)
+    return bool(scene.contact[element]["share"] > 0.8 and scene.model.body_weldid[scene.model.geom_bodyid[still]] == 0)
+
+
 def _number(scene: Scene, element: str, place: int) -> float:
     mover, still = geoms_of(scene.model, element)
     return float(0.5 * (scene.model.geom_solref[mover, place] + scene.model.geom_solref[still, place]))
@@ -169,7 +175,7 @@ CONTACT_LAWS: dict[str, Law] = {
         {"coefficient": "N s/m"},
         lambda s, e: 0.5 * _weight(s, e),
         lambda m, drawn: {"coefficient": m},
-        fits=_often,
+        fits=_mostly,
         push=_viscous,
     ),
     "contact_stiffness": Law(

@@ -7,6 +7,7 @@ from det2stoc_bayes.mismatch.effects.contact import GEOM, MIXED, PAIR, rewritten
 
 SHARE = 0.5  # of a body's weight: what an adhesion may be
 LEAST_SPEED = 1e-9  # m/s
+STEEPEST = 0.7  # cosine of a slope
 
 
 def same(p, friction, solref, dim, xp):
@@ -58,7 +59,7 @@ class PairedAdhesion(Adhesion):
 class ViscousContactFriction(Effect):
     """What slides is slowed in proportion to its speed as well, while it touches.
 
-    Friction is mu + c |v| / N, where N is the body's weight across its motion: on the ground the force is -c v.
+    Friction is mu + c |v| / N, where N is the body's weight: where it slides on the ground the force is -c v.
     """
 
     name, kind, law, law_text = "viscous_contact_friction", "contact", r"-c\,\mathbf v", "-c v while they touch"
@@ -84,12 +85,13 @@ class ViscousContactFriction(Effect):
 
 
 def more_friction(p, fields, s, at, xp):
-    """c |v| over the weight across the motion."""
+    """c |v| over the body's weight, both across gravity's and the motion's directions: what falls does not slide."""
     gravity, speed = fields["opt.gravity"], xp.sqrt(xp.sum(s.v**2, -1))
-    along = xp.sum(gravity * s.v, -1) / xp.maximum(speed, LEAST_SPEED)
-    across = xp.sqrt(xp.maximum(xp.sum(gravity**2, -1) - along**2, 0.01 * xp.sum(gravity**2, -1)))
-    weight = xp.maximum(fields["body_mass"][..., at.body] * across, LEAST_SPEED)
-    return xp.maximum(p["coefficient"], 0.0) * speed / weight
+    size = xp.sqrt(xp.sum(gravity**2, -1))
+    along = xp.sum(gravity * s.v, -1) / xp.maximum(speed * size, LEAST_SPEED)
+    across = xp.sqrt(xp.maximum(1 - along**2, 0.0))  # sine of the angle between them
+    weight = fields["body_mass"][..., at.body] * size * xp.maximum(across, STEEPEST)
+    return xp.maximum(p["coefficient"], 0.0) * speed * across / xp.maximum(weight, LEAST_SPEED)
 
 
 def rubbed(p, friction, solref, dim, xp):
