@@ -23,6 +23,7 @@ prior = { TruncatedNormal = { loc = 0.3, scale = 0.1, low = 0.05, high = 0.6 } }
 "qvel/*" = 1e-2
 """
 TRUTH = 0.22
+SLIDING = [f"{c}/glide/{p}" for c, p in (("qpos", "x"), ("qpos", "y"), ("qvel", "vx"), ("qvel", "vy"))]
 NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz"), ("vx", "vy", "vz", "wx", "wy", "wz")
 
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import make_study
-from sliding import PSI, TRUTH, XML, slides
+from sliding import PSI, SLIDING, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact import rattle
@@ -24,8 +24,7 @@ from det2stoc_bayes.simulator import Simulator
 def followed(tmp_path_factory):
     study = make_study(tmp_path_factory.mktemp("slides") / "study", XML.format(0.02), PSI, slides())
     problem = make_problem(Simulator(study, num_threads=1))
-    sliding = [f"{c}/glide/{p}" for c, p in (("qpos", "x"), ("qpos", "y"), ("qvel", "vx"), ("qvel", "vy"))]
-    return Followed(problem, 12.0).hearing(np.isin(problem.segments.columns, sliding))
+    return Followed(problem, 12.0).hearing(np.isin(problem.segments.columns, SLIDING))
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import make_study
-from sliding import PSI, TRUTH, XML, slides
+from sliding import PSI, SLIDING, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact import chances, rattle, search
@@ -20,8 +20,6 @@ from det2stoc_bayes.mismatch.effects.base import PlacedEffect
 from det2stoc_bayes.mismatch.effects.contact import ContactStiffness
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
-
-SLIDING = [f"{c}/glide/{p}" for c, p in (("qpos", "x"), ("qpos", "y"), ("qvel", "vx"), ("qvel", "vy"))]
 
 
 def quiet(*_):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import make_study
-from sliding import PSI, TRUTH, XML, slides
+from sliding import PSI, SLIDING, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.fit import at, fit_followed
@@ -21,8 +21,7 @@ SETTLED = 0.1
 def followed(tmp_path_factory):
     study = make_study(tmp_path_factory.mktemp("turning") / "study", XML.format(0.02), PSI, slides())
     problem = make_problem(Simulator(study, num_threads=1))
-    sliding = [f"{c}/glide/{p}" for c, p in (("qpos", "x"), ("qpos", "y"), ("qvel", "vx"), ("qvel", "vy"))]
-    return Followed(problem, 12.0).hearing(np.isin(problem.segments.columns, sliding))
+    return Followed(problem, 12.0).hearing(np.isin(problem.segments.columns, SLIDING))
 
 
 def placed_at(followed, name, values):
