@@ -16,7 +16,7 @@ from det2stoc_bayes.mismatch.contact.believed import FINER, MEMBERS, believed, s
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.differences import STEPS, columns_of, steady
 from det2stoc_bayes.mismatch.contact.evolution import PATIENCE, evolved
-from det2stoc_bayes.mismatch.contact.fit import _taught, at, fit_followed
+from det2stoc_bayes.mismatch.contact.fit import _taught, at, fit_followed, newton
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
 from det2stoc_bayes.mismatch.contact.judge import corrected, judged
 from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, climbed, nearer, with_memory, with_own
@@ -384,7 +384,7 @@ def test_what_is_sure_is_named_though_something_beside_it_cannot_be_told(problem
         return Pair(at(fit, z), at(held, z, at(fit, z).scales))
 
     base, first, second, rival = (
-        pair(*given) for given in (((), 0.5), ((drag,), 0.75), ((drag, other), 1.0), ((drag, third), 1.0))
+        pair(*given) for given in (((), 0.5), ((drag,), 0.8), ((drag, other), 1.0), ((drag, third), 1.0))
     )
     rounds = [Round(base, (), (first,), first), Round(first, (), (second, rival), second)]
     monkeypatch.setattr(judge, "alike", lambda *_: False)
@@ -405,7 +405,7 @@ def test_scales_of_one_column_are_its_own():
 class Waves(Followed):
     """Predictions that turn about within a fraction of a sd of the first unknown, and are straight in the last."""
 
-    size, floor, unknowns = 2, np.full(2, -np.inf), Unknowns((), ())
+    size, floor, unknowns, shape = 2, np.full(2, -np.inf), Unknowns((), ()), (1, 10, 1)
     steps: list[tuple[int, float]]
     recording = cached_property(lambda _: np.zeros(1, int))
 
@@ -476,6 +476,33 @@ def test_sensitivities_that_are_known_nearby_are_not_found_anew():
     assert {which for which, _ in waves.steps} == {1}
     np.testing.assert_array_equal(found, sizes)
     np.testing.assert_array_equal(again, columns)
+
+
+def test_errors_that_are_not_known_are_found_beside_the_first_differences():
+    waves, z = Waves(), np.zeros(2)
+    columns, sizes = columns_of(waves, z, waves.errors(z[None])[0])
+    again, found = columns_of(waves, z, None)
+    np.testing.assert_array_equal(found, sizes)
+    np.testing.assert_array_equal(again, columns)
+
+
+def test_of_what_is_held_no_sensitivities_are_found():
+    waves, z = Waves(), np.zeros(2)
+    columns, sizes = columns_of(waves, z, waves.errors(z[None])[0], untold=(0,))
+    assert {which for which, _ in waves.steps} == {1} and np.isnan(sizes[0])
+    assert (columns[..., 0] == 0).all()
+    np.testing.assert_allclose(columns[0, :, 0, 1], 3.0)
+
+
+def test_a_step_that_promises_next_to_nothing_is_not_tried(problem, sliding):
+    counter, fit = problem.simulator.counter, at(Followed(problem).hearing(sliding), np.full(1, -0.5))
+    promised = 0.5 * float((fit.slopes.sum(0) - fit.z) @ newton(fit, ()))
+    tried, ends = [], []
+    for settled in (0.9 * promised, 1.1 * promised):
+        begun = counter.simulations
+        ends.append(fit_followed(fit.followed, fit.z, like=fit, iterations=1, settled=settled))
+        tried.append(counter.simulations - begun)
+    assert tried[0] > 0 == tried[1] and ends[0].loss < ends[1].loss == fit.loss
 
 
 @pytest.mark.parametrize("room", [0.1, 0.16, 0.3])

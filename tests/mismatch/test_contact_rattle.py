@@ -103,7 +103,7 @@ def test_a_lead_that_a_rivals_own_recordings_give_is_no_proof(followed, pool, mo
     leads = dict(zip([id(m.problem) for m in (*own, *others)], [162.0, 131.0, 198.0, 50.0, 110.0, 55.0], strict=True))
 
     def odds_at(observed):
-        def behind(fit, followed):
+        def behind(fit, followed, luck):
             return SimpleNamespace(loss=leads.get(id(followed.problem), observed) if fit is rival else 0.0)
 
         monkeypatch.setattr(rattle, "refitted", behind)
@@ -128,8 +128,8 @@ def test_where_what_nothing_leads_diverges_the_lead_alone_is_asked(followed, poo
     assert len(own) == rattle.NUM_MADE and others == []
     leader.prepare()
     rival.prepare()
-    first, second = (rattle.refitted(fit, leader.followed).loss for fit in (leader, rival))
+    first, second = (rattle.refitted(fit, leader.followed, 2.0).loss for fit in (leader, rival))
     assert rattle.log_odds(leader, rival, own, others, 2.0) == first - second
     known = []
-    odds = rattle.log_odds(leader, rival, own, [], 2.0, lambda f: known.append(f) or rattle.refitted(leader, f))
+    odds = rattle.log_odds(leader, rival, own, [], 2.0, lambda f: known.append(f) or rattle.refitted(leader, f, 2.0))
     assert known == [leader.followed] and odds == first - second

@@ -224,6 +224,19 @@ def gaining(base, more, gains):
     return found
 
 
+def test_a_second_look_asks_those_that_promise_more_beside_its_leader(pool):
+    leader, same, more = pool[:3]
+
+    def promises(*gains):
+        return [
+            screening.Promise(placed, gain, {}, np.zeros(1))
+            for placed, gain in zip((leader, same, more), gains, strict=True)
+        ]
+
+    asked = screening.promising_more(leader, promises(100.0, 50.0, 50.0), promises(200.0, 101.0, 120.0))
+    assert [s.placed for s in asked] == [more]
+
+
 def test_a_gain_that_few_blocks_have_must_be_far_beyond_chance(followed, problem, pool, monkeypatch):
     """The addition is the friction's own error in the base: clear, but few blocks are made to have all of it."""
     drag = named(pool, "linear_drag")

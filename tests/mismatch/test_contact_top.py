@@ -21,6 +21,7 @@ class Rough(Followed):
     size, num_psi, floor, effects, unknowns, timestep = 2, 2, np.full(2, -np.inf), (), Unknowns((), ()), None
     recording = cached_property(lambda _: np.zeros(40, int))
     volumes = cached_property(lambda _: np.zeros(40))
+    shape = (40, 10, 1)
     rough: float
     seed: int
     columns: np.ndarray

@@ -14,7 +14,7 @@ from det2stoc_bayes.mismatch.contact.evolution import evolved
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed, within
 from det2stoc_bayes.mismatch.contact.flow import Ground
 from det2stoc_bayes.mismatch.contact.followed import Followed
-from det2stoc_bayes.mismatch.contact.pair import MEMORIES, SKETCH, Pair, climbed, paired
+from det2stoc_bayes.mismatch.contact.pair import MEMORIES, SKETCH, Pair, climbed, paired, remembering_each
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.contact.telling import telling
@@ -76,7 +76,7 @@ def from_start(followed: Followed, z: Float[np.ndarray, " size"]) -> ContactFit:
 
 def best_remembered(fit: ContactFit) -> ContactFit:
     """The same unknowns with the memory by which they foretell recordings best, and a few steps from there."""
-    best = min((at(fit.followed.remembering(m), fit.z) for m in MEMORIES), key=lambda f: f.loss)
+    best = min(remembering_each(fit, MEMORIES), key=lambda f: f.loss)
     return fit_followed(best.followed, fit.z, iterations=SKETCH, like=fit)
 
 

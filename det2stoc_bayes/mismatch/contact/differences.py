@@ -1,6 +1,6 @@
 """Sensitivities of followed simulations by finite differences that are wide, and no wider than contact allows."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -25,26 +25,32 @@ def steady(up: np.ndarray, down: np.ndarray) -> np.ndarray:
 def columns_of(
     followed: Followed,
     z: np.ndarray,
-    errors: np.ndarray,
+    errors: np.ndarray | None,
     sizes: np.ndarray | None = None,
     known: np.ndarray | None = None,
+    untold: Collection[int] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sensitivities by finite differences over given steps, or over those to whose sides they agree best."""
+    """Sensitivities by finite differences over given steps, or over those to whose sides they agree best.
+
+    `errors` are those at z; where they are not known they are simulated beside the first differences. None are found
+    to unknowns that are to stay `untold`.
+    """
     problem = followed.problem
-    columns = np.zeros((*errors.shape, problem.size))
+    columns = np.zeros((*followed.shape, problem.size))
     sizes = np.full(problem.size, np.nan) if sizes is None else sizes.copy()
     first = 0 if known is None else known.shape[-1]
     columns[..., :first] = 0.0 if known is None else known
     told, wider = problem.unknowns.followed(z), _wider(problem.unknowns, z, problem.size)
+    told = {*told, *untold}
     probes = [which for which in problem.probes() if which[0] >= first and which[0] not in told]
     given = [which for which in probes if np.isfinite(sizes[which[0]])]
-    found = _differences(followed, z, errors, given, [float(sizes[w[0]] * wider[w[0]]) for w in given])
+    found, errors = _differences(followed, z, errors, given, [float(sizes[w[0]] * wider[w[0]]) for w in given])
     for which, (change, _) in zip(given, found, strict=True):
         _put(columns, which, change, followed.recording)
     probes = [which for which in probes if not np.isfinite(sizes[which[0]])]
     best = np.full(problem.size, -1.0)
     for size in STEPS:
-        found = _differences(followed, z, errors, probes, [float(size * wider[w[0]]) for w in probes])
+        found, errors = _differences(followed, z, errors, probes, [float(size * wider[w[0]]) for w in probes])
         for which, (change, agreed) in zip(probes, found, strict=True):
             if agreed > best[which[0]]:
                 best[which[0]], sizes[which] = agreed, size
@@ -74,9 +80,14 @@ def _put(columns: np.ndarray, which: np.ndarray, change: np.ndarray, recording: 
 
 
 def _differences(
-    followed: Followed, z: np.ndarray, errors: np.ndarray, probes: Sequence[np.ndarray], sizes: Sequence[float]
-) -> list[tuple[np.ndarray, float]]:
-    """Changes of the prediction for one sd of the unknowns of each probe, and the share that both sides agree on."""
+    followed: Followed, z: np.ndarray, errors: np.ndarray | None, probes: Sequence[np.ndarray], sizes: Sequence[float]
+) -> tuple[list[tuple[np.ndarray, float]], np.ndarray | None]:
+    """Changes of the prediction for one sd of the unknowns of each probe, and the share that both sides agree on.
+
+    Beside them the errors at z, found where there is a probe.
+    """
+    if not probes:
+        return [], errors
     problem = followed.problem
     moved, steps = np.tile(z, (2 * len(probes), 1)), []
     for k, (which, size) in enumerate(zip(probes, sizes, strict=True)):
@@ -84,7 +95,10 @@ def _differences(
         moved[2 * k, which] += steps[-1]
         moved[2 * k + 1, which] -= steps[-1]
     moved = np.maximum(moved, problem.floor)
-    found = followed.errors(moved) if len(probes) else []
+    if errors is None:
+        *found, errors = followed.errors(np.vstack([moved, z]))
+    else:
+        found = followed.errors(moved)
     out = []
     for k, (which, step) in enumerate(zip(probes, steps, strict=True)):
         back = z[which[0]] - moved[2 * k + 1, which[0]]  # less than a step where a wall is near
@@ -96,4 +110,4 @@ def _differences(
         change = steady(up, down)
         whole = float(((0.5 * (up + down)) ** 2).sum())
         out.append((change, float((change**2).sum()) / whole if whole > 0 else 1.0))
-    return out
+    return out, errors

@@ -37,6 +37,7 @@ class ContactFit:
     known: Float[np.ndarray, "blocks samples columns first"] | None = None  # sensitivities to the first unknowns
     flat: Float[np.ndarray, "size size"] | None = None  # what sds become, as the likelihood's top is flatter than told
     rough: Float[np.ndarray, "size size"] | None = None  # covariance of where the top is
+    untold: tuple[int, ...] = ()  # unknowns to which no sensitivities are found
 
     @property
     def problem(self) -> Problem:
@@ -49,9 +50,11 @@ class ContactFit:
 
         By the believed integration: a finer one takes several times as long, and changes hardly what unknowns do.
         """
-        whole = self.known is not None and self.known.shape[-1] == len(self.z)
-        plain = self if whole else self.as_believed
-        return columns_of(plain.followed, self.z, plain.errors, self.sizes, self.known)
+        if self.followed.problem.timestep is None:
+            return columns_of(self.followed, self.z, self.errors, self.sizes, self.known, self.untold)
+        plain = self.__dict__.get("as_believed")
+        errors = None if plain is None else plain.errors
+        return columns_of(self.followed.integrated(None, None), self.z, errors, self.sizes, self.known, self.untold)
 
     @property
     def steps(self) -> Float[np.ndarray, " size"]:
@@ -159,31 +162,35 @@ def fit_followed(
     z: Float[np.ndarray, " size"] | None = None,
     *,
     held: Sequence[int] = (),
+    untold: Sequence[int] = (),
     iterations: int = ITERATIONS,
     others: Sequence[np.ndarray] = (),
     like: ContactFit | None = None,
     settled: float = SETTLED,
 ) -> ContactFit:
-    """The most likely unknowns from `z`, or from the best of it and `others`; those `held` stay.
+    """The most likely unknowns from `z`, or from the best of it and `others`; those `held` or `untold` stay.
 
     `like` is a fit nearby, perhaps without the last unknowns, whose sensitivities are not found anew. They are
     found for `iterations` steps, and serve for a second one as well where a step was short. A step that gains less
-    than `settled` nats is the last.
+    than `settled` nats is the last, and one that promises less is not tried.
     """
     z = np.zeros(followed.problem.size) if z is None else np.array(z, float)
     there = like is not None and like.followed is followed and not len(others) and np.array_equal(like.z, z)
     fit = _own(like) if like is not None and there else _best(followed, np.stack([z, *others]))
     fit = fit if like is None else _taught(fit, like)
-    again = False
+    fit, held, again = replace(fit, untold=tuple(untold)), [*held, *untold], False
     while iterations > 0:
         iterations = iterations if again else iterations - 1
         step, taught = _step(fit, held), fit.known is not None
+        if 0.5 * _slope(fit, step) < settled:
+            fit = replace(fit, known=None) if taught else fit
+            break
         found = _along(fit, step)
         gain, (columns, sizes) = fit.loss - found.loss, fit.differences
         short = np.abs(found.z - fit.z).max(initial=0.0) < NEAR
         serves = short and not taught and iterations > 0 and gain >= settled
         if gain > 0:
-            fit = replace(found, sizes=sizes, known=columns if serves else None)
+            fit = replace(found, sizes=sizes, known=columns if serves else None, untold=fit.untold)
         elif taught:
             fit = replace(fit, sizes=sizes, known=None)
         if gain < settled and not taught:
@@ -209,13 +216,18 @@ def _along(fit: ContactFit, step: Float[np.ndarray, " size"]) -> ContactFit:
         return fits_at(fit.followed, within(fit, fit.z + part * step)[None])[0]
 
     whole = after(1.0)
-    gain, promised = fit.loss - whole.loss, float((fit.slopes.sum(0) - fit.z) @ (whole.z - fit.z))
+    gain, promised = fit.loss - whole.loss, _slope(fit, whole.z - fit.z)
     if LITTLE * promised < gain < MUCH * promised:
         return whole
     if gain >= MUCH * promised > 0:
         return min((whole, after(FURTHER)), key=lambda f: f.loss)
     best = min((whole, after(SHORTER)), key=lambda f: f.loss)
     return best if best.loss < fit.loss else min((best, after(BACK)), key=lambda f: f.loss)
+
+
+def _slope(fit: ContactFit, step: Float[np.ndarray, " size"]) -> float:
+    """Nats that a step gains to first order; twice what it does where it leads to a parabola's top."""
+    return float((fit.slopes.sum(0) - fit.z) @ step)
 
 
 def _own(fit: ContactFit) -> ContactFit:

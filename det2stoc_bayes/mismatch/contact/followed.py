@@ -77,6 +77,11 @@ class Followed:
         """Number of blocks."""
         return self.problem.segments.count * self.blocks
 
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of the errors of all samples: blocks, samples, columns."""
+        return self.count, BLOCK, self.problem.segments.values.shape[-1]
+
     @cached_property
     def recording(self) -> Int[np.ndarray, " blocks"]:
         """Which recording each block belongs to."""

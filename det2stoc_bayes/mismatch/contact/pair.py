@@ -1,5 +1,6 @@
 """A hypothesis on the recordings that are fitted and on those held out: how it is fitted, and added to."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -74,7 +75,7 @@ def paired(fit: ContactFit, held: Followed) -> Pair:
     if not own:
         return Pair(fit, at(there, z, fit.scales))
     shared = [i for i in range(problem.size) if i not in own]
-    found = fit_followed(there, with_own(there, z, fit.scales), held=shared, iterations=SKETCH)
+    found = fit_followed(there, with_own(there, z, fit.scales), untold=shared, iterations=SKETCH)
     return Pair(fit, replace(found, scales=fit.scales))
 
 
@@ -103,16 +104,23 @@ def longer_by_one(fit: ContactFit, settled: float = SETTLED) -> ContactFit | Non
 
     None where it has the longest. Memories beyond MOST_WORSE in a row that serve it less are not looked at.
     """
-    tried: list[ContactFit] = []
-    for memory in (m for m in MEMORIES if m > fit.followed.memory):
-        tried.append(at(fit.followed.remembering(memory), fit.z))
-        if len(tried) >= MOST_WORSE and all(f.loss > fit.loss for f in tried[-MOST_WORSE:]):
-            break
+    tried = remembering_each(fit, [m for m in MEMORIES if m > fit.followed.memory], fit.loss)
     if not tried:
         return None
     best = min(tried, key=lambda f: f.loss)
     start = best if best.loss < fit.loss else tried[0]
     return fit_followed(start.followed, start.z, like=fit, settled=settled)
+
+
+def remembering_each(fit: ContactFit, memories: Sequence[float], least: float = np.inf) -> list[ContactFit]:
+    """The same unknowns with each memory, up to MOST_WORSE in a row that serve them less than any before."""
+    tried, worse = list[ContactFit](), 0
+    for memory in memories:
+        tried.append(at(fit.followed.remembering(memory), fit.z))
+        worse, least = (worse + 1 if tried[-1].loss > least else 0), min(least, tried[-1].loss)
+        if worse >= MOST_WORSE:
+            break
+    return tried
 
 
 def nearer(fit: ContactFit) -> ContactFit:
@@ -149,9 +157,12 @@ def next_to_nothing(luck: float) -> float:
     return max(SETTLED, OF_LUCK * luck)
 
 
-def best_bordered(pair: Pair) -> Pair:
-    """The same hypothesis, the region of its last effect, if it has one, where all recordings are told best."""
-    other = bordered(pair.fit)
+def best_bordered(pair: Pair, *, anew: bool = True) -> Pair:
+    """The same hypothesis, the region of its last effect, if it has one, where all recordings are told best.
+
+    Looked for everywhere, or else about where it is.
+    """
+    other = bordered(pair.fit, anew=anew)
     return pair if other is pair.fit else min((pair, paired(other, pair.held.followed)), key=lambda p: p.height)
 
 
@@ -166,7 +177,7 @@ def remembering_more(pair: Pair, luck: float) -> Pair | None:
     longer = longer_by_one(pair.fit, next_to_nothing(luck))
     if longer is None:
         return None
-    more = best_bordered(paired(longer, pair.held.followed))
+    more = best_bordered(paired(longer, pair.held.followed), anew=False)
     return more if min(more.height - pair.height, more.fit.loss - pair.fit.loss) <= 0 else None
 
 

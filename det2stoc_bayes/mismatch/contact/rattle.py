@@ -16,7 +16,7 @@ from scipy import stats
 from det2stoc_bayes.mismatch.contact.chances import alike, as_the_best
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
-from det2stoc_bayes.mismatch.contact.pair import SKETCH, Pair, finished, sketched, with_memory
+from det2stoc_bayes.mismatch.contact.pair import SKETCH, Pair, finished, next_to_nothing, sketched, with_memory
 from det2stoc_bayes.mismatch.contact.replicas import moved_freely
 from det2stoc_bayes.mismatch.contact.screen import Promise
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
@@ -73,7 +73,7 @@ def rivals(
     asked = [p for p in pairs if p in fitted]  # before, how near they come to what the leader predicts
     pairs = asked + as_the_best([leader, *(p for p in pairs if p not in asked)], luck)[1:]
     pairs = [p for p in pairs if not alike(p, leader, luck)]
-    made, alone, weighed = made_by(leader.fit, seed), cache(partial(refitted, leader.fit)), []
+    made, alone, weighed = made_by(leader.fit, seed), cache(partial(refitted, leader.fit, luck=luck)), []
     for k, pair in enumerate(pairs):
         progress("weighing rivals", 1 + k, 1 + len(pairs))
         weighed.append(Rival(pair, log_odds(leader.fit, pair.fit, made, made_by(pair.fit, seed), luck, alone)))
@@ -103,10 +103,10 @@ def log_odds(
     """
     leader.prepare()
     rival.prepare()
-    alone = alone or partial(refitted, leader)
+    alone = alone or partial(refitted, leader, luck=luck)
     each = [*by_leader, *by_rival] if by_leader and by_rival else []
     told = [leader.followed, *(m.remembering(leader.followed.memory) for m in each)]
-    there, *leads = side_by_side(leader.problem, lambda f: refitted(rival, f).loss - alone(f).loss, told)
+    there, *leads = side_by_side(leader.problem, lambda f: refitted(rival, f, luck).loss - alone(f).loss, told)
     if not leads:
         return -there
     of_each = np.array(leads).reshape(2, -1)
@@ -115,7 +115,7 @@ def log_odds(
     return float(by_second - by_first)
 
 
-def refitted(fit: ContactFit, followed: Followed) -> ContactFit:
+def refitted(fit: ContactFit, followed: Followed, luck: float) -> ContactFit:
     """A hypothesis after a few steps on other recordings; all are asked so, those that were recorded as well."""
     there = followed.with_problem(followed.problem.with_effects(fit.problem.effects))
-    return fit_followed(there, fit.z, iterations=SKETCH, like=fit)
+    return fit_followed(there, fit.z, iterations=SKETCH, like=fit, settled=next_to_nothing(luck))

@@ -43,16 +43,17 @@ class Border:
         return {"ratio": self.ratio, "point": self.point, "normal": self.normal}
 
 
-def bordered(fit: ContactFit) -> ContactFit:
+def bordered(fit: ContactFit, *, anew: bool = True) -> ContactFit:
     """A hypothesis with the region of its last effect where it is likeliest beside the other unknowns.
 
-    These are fitted on; a border moves by no derivative. As it is where the effect has no region.
+    These are fitted on; a border moves by no derivative. Where it is not looked for `anew` it is moved once. As it is
+    where the effect has no region.
     """
     placed = fit.problem.effects[-1] if fit.problem.effects else None
     if placed is None or not isinstance(placed.effect, FrictionPatch):
         return fit
     found = fit
-    for k, find in enumerate((_from_afar, *NUM_ROUNDS * [_nearby])):
+    for k, find in enumerate((_from_afar, *NUM_ROUNDS * [_nearby]) if anew else [_nearby]):
         z = find(found, placed)
         other = found if z is None else fit_followed(fit.followed, z, held=border_unknowns(fit), like=fit)
         if k > 1 and other.loss > found.loss - LEAST_GAIN:

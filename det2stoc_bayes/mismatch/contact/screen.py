@@ -25,6 +25,7 @@ SOME = 3  # one of so many recordings is looked at where it takes simulations, a
 KEPT = 2  # trials of an effect that are kept
 NUM_STARTS = 4  # of them, from which a pattern search sets out,
 NUM_SHARPENED = 12  # of so many candidates
+MORE = 1.1  # times as much as before, beside a leader, that a second look must promise
 MOST_HELD = 2_000_000  # numbers of what trials change that are held at once
 
 type Tried = tuple["Promise", Trial]
@@ -69,6 +70,17 @@ def screen(
     ranked = sorted((p for p in found if p is not None), key=lambda p: -p.gain)
     ranked[:NUM_SHARPENED] = side_by_side(fit.problem, partial(_sharpened, fit, led), ranked[:NUM_SHARPENED])
     return sorted(ranked, key=lambda p: -p.gain)
+
+
+def promising_more(leader: PlacedEffect, before: Sequence[Promise], now: Sequence[Promise]) -> list[Promise]:
+    """Those of a second look that promise more, beside what its leader does, than in the first one."""
+
+    def beside(looked: Sequence[Promise]) -> dict[PlacedEffect, float]:
+        gains = {s.placed: s.gain for s in looked}
+        return {placed: gain / max(gains.get(leader, 0.0), 1e-9) for placed, gain in gains.items()}
+
+    first, second = beside(before), beside(now)
+    return [s for s in now if second[s.placed] > MORE * first[s.placed]]
 
 
 def _bordered(fit: ContactFit, placed: PlacedEffect) -> list[Promise]:

@@ -24,7 +24,7 @@ from det2stoc_bayes.mismatch.contact.polish import BUMPY, polished
 from det2stoc_bayes.mismatch.contact.rattle import Rival, rattles, rivals
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
-from det2stoc_bayes.mismatch.contact.screen import Promise, screen, some
+from det2stoc_bayes.mismatch.contact.screen import Promise, promising_more, screen, some
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.contact.top import bumps
 from det2stoc_bayes.mismatch.contact.yardstick import LEAST_BLOCKS
@@ -84,7 +84,8 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
         there = nearer(without_last(found[0], ground.followed.memory))
     if np.abs(there.z - ground.z).max(initial=0.0) > MOVED:
         latest = _screened(there, [s.placed for s in screened[:MOST_AGAIN]], progress)
-        again = refined(first, there, [s for s in latest if s.gain > least], first_luck, progress, found)
+        more = promising_more(found[0].placed, screened, [s for s in latest if s.gain > least])
+        again = refined(first, there, more, first_luck, progress, found) if more else []
         found = best_of_each([*found, *again])
     base = better_base(first, found, first_luck, longer=False)
     if not found or found[0].gain(base) <= -first_luck:  # for additions are not beyond their bumps yet
