@@ -22,6 +22,7 @@ from det2stoc_bayes.mismatch.contact.telling import telling
 MIDDLE = 12.0  # samples: long enough for a wrong psi to show, short enough for a missing effect not to hide a right one
 POPULATION, GENERATIONS = 12, 8  # of the search
 REGARDS = ((False, 1.0), (True, 1.0), (True, 0.1))  # whether contact holds bodies, and the share of its jolts
+NUM_REGARDED = 2  # of them and none, that are fitted
 MEMBERS = 2  # simulations whose mean foretells
 FINER = (2, 4)  # times: contact lasts for a few steps, so that shorter ones tell more than a higher order does
 FINER_CERTAIN = 1.5  # standard errors by which they must tell recordings better: each is twice as dear
@@ -39,7 +40,8 @@ def believed(followed: Followed, held: Followed) -> Pair:
     middle = middle.averaged(MEMBERS)
     best = min(side_by_side(middle.problem, partial(from_start, middle), starts), key=lambda f: f.loss)
     for times in FINER:
-        fine = from_start(middle.integrated(step / times, None), best.z)
+        followed = best.followed.integrated(step / times, None)
+        fine = fit_followed(followed, best.z, iterations=SKETCH, like=best)
         if certainty(best.losses - fine.losses, followed.recording) < FINER_CERTAIN:
             break
         best = fine
@@ -81,12 +83,15 @@ def best_remembered(fit: ContactFit) -> ContactFit:
 
 
 def grounded(fit: ContactFit) -> list[ContactFit]:
-    """The same hypothesis, led without regard to contact and with each regard.
+    """The same hypothesis, led without regard to contact or with one, fitted: those that are told best as it is.
 
     What slides is held by its floor and jolted little, though noise that is drawn anew throws simulations of it out of
     the floor; where something is missing, what holds a simulation may not hold the body.
     """
     ground = Ground(fit.problem, fit.z)
     led = [fit.followed.grounded(ground.regarding(*way)) for way in REGARDS]
-    again = partial(fit_followed, z=fit.z, iterations=SKETCH, like=fit)
-    return [fit, *side_by_side(fit.problem, again, led)]
+    begun = [fit, *side_by_side(fit.problem, partial(at, z=fit.z), led)]
+    heard = telling(min(begun, key=lambda f: f.loss))
+    best = sorted(begun, key=lambda f: f.hearing(heard).loss)[:NUM_REGARDED]
+    again = partial(fit_followed, iterations=SKETCH)
+    return side_by_side(fit.problem, lambda f: f if f is fit else again(f.followed, fit.z, like=f), best)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from det2stoc_bayes.mismatch.contact.differences import columns_of
 from det2stoc_bayes.mismatch.contact.followed import Followed
@@ -22,6 +22,7 @@ LARGEST_STEP = 2.0  # prior sds at once
 ITERATIONS = 10
 SETTLED = 0.1  # nats
 FARTHEST = 5.0  # prior sds of psi from its median
+HOPE = 0.25  # of the nats that are needed: a step that promises less is not tried
 NEAR = 0.3  # prior sds within which sensitivities serve for a step
 
 
@@ -130,6 +131,11 @@ class ContactFit:
         """What several threads are to read is found before, and once."""
         _ = self.gram, self.left, self.as_believed.errors
 
+    def hearing(self, heard: Bool[np.ndarray, " columns"]) -> "ContactFit":
+        """The same by some columns alone."""
+        errors = np.where(heard, self.errors, np.nan)
+        return ContactFit(self.followed.hearing(heard), self.z, errors, scales_of(errors))
+
     def only(self, rows: np.ndarray) -> "ContactFit":
         """The same on some recordings, under the scales of all."""
         blocks = np.isin(np.repeat(np.arange(self.problem.segments.count), self.followed.blocks), rows)
@@ -167,22 +173,25 @@ def fit_followed(
     others: Sequence[np.ndarray] = (),
     like: ContactFit | None = None,
     settled: float = SETTLED,
+    needed: float = 0.0,
 ) -> ContactFit:
     """The most likely unknowns from `z`, or from the best of it and `others`; those `held` or `untold` stay.
 
     `like` is a fit nearby, perhaps without the last unknowns, whose sensitivities are not found anew. They are
     found for `iterations` steps, and serve for a second one as well where a step was short. A step that gains less
-    than `settled` nats is the last, and one that promises less is not tried.
+    than `settled` nats is the last, and one that promises less is not tried, nor one that promises next to nothing of
+    the nats that are `needed`.
     """
     z = np.zeros(followed.problem.size) if z is None else np.array(z, float)
     there = like is not None and like.followed is followed and not len(others) and np.array_equal(like.z, z)
     fit = _own(like) if like is not None and there else _best(followed, np.stack([z, *others]))
     fit = fit if like is None else _taught(fit, like)
     fit, held, again = replace(fit, untold=tuple(untold)), [*held, *untold], False
+    goal = fit.loss - needed
     while iterations > 0:
         iterations = iterations if again else iterations - 1
         step, taught = _step(fit, held), fit.known is not None
-        if 0.5 * _slope(fit, step) < settled:
+        if 0.5 * _slope(fit, step) < max(settled, HOPE * (fit.loss - goal)):
             fit = replace(fit, known=None) if taught else fit
             break
         found = _along(fit, step)

@@ -109,7 +109,7 @@ def longer_by_one(fit: ContactFit, settled: float = SETTLED) -> ContactFit | Non
         return None
     best = min(tried, key=lambda f: f.loss)
     start = best if best.loss < fit.loss else tried[0]
-    return fit_followed(start.followed, start.z, like=fit, settled=settled)
+    return fit_followed(start.followed, start.z, like=fit, settled=settled, needed=start.loss - fit.loss)
 
 
 def remembering_each(fit: ContactFit, memories: Sequence[float], least: float = np.inf) -> list[ContactFit]:
