@@ -20,7 +20,7 @@ from det2stoc_bayes.engines.mujoco_steps import is_stepped
 from det2stoc_bayes.engines.quiet import QUIET, UNTIMED
 
 MAX_SIMULATIONS = 4096
-MAX_PERSISTENT = 512  # simulations that keep an MjData each (some 100 KB and more)
+MAX_PERSISTENT = 96  # simulations that keep an MjData each (100 KB and more): of more none stays in a cache
 MAX_RECORDED = 24_000_000  # numbers held at once by each thread of Python: about 200 MB
 WORKING = 8  # numbers a step that what acts on commands takes beside
 HALT: ContextVar[Event | None] = ContextVar("halt", default=None)  # once set, no simulation begins: CancelledError

@@ -81,7 +81,7 @@ class Stepper:
             self.prepare(commands[:, k])
             self._keep()
             self.past[:] = self.qvel
-            batch.step(stage=stage)
+            batch.step(stage=stage if closing or k + 1 < num_steps else _NONE)
             self.time += self.dt
             for name, array in live.items():
                 out[name][:, k] = array
