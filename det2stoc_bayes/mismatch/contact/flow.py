@@ -76,12 +76,8 @@ class Ground:
 
 
 def contact_flow(problem: Problem, observer: Observer, z: Float[np.ndarray, " size"]) -> ContactFlow:
-    """What contact does to the variances of positions and speeds up to each sample, at a hypothesis' unknowns.
-
-    By the believed integration: a finer one takes several times as long, and changes hardly how members part.
-    """
-    plain = replace(problem, timestep=None, integrator=None)
-    free, foretold = (_variance(x, problem.segments.count) for x in _members(plain, observer, z))
+    """What contact does to the variances of positions and speeds up to each sample, at a hypothesis' unknowns."""
+    free, foretold = (_variance(x, problem.segments.count) for x in _members(problem, observer, z))
     kept = np.ones((len(free), problem.segments.time.shape[1], *free.shape[2:]))
     with np.errstate(divide="ignore", invalid="ignore"):
         kept[:, 1:] = np.where(foretold < free, foretold / free, 1.0)
