@@ -20,7 +20,8 @@ from det2stoc_bayes.engines.mujoco_steps import is_stepped
 from det2stoc_bayes.engines.quiet import QUIET, UNTIMED
 
 MAX_SIMULATIONS = 4096
-MAX_PERSISTENT = 96  # simulations that keep an MjData each (100 KB and more): of more none stays in a cache
+MAX_PERSISTENT = 512  # simulations that keep an MjData each (some 10 KB),
+MAX_TOUCHING = 96  # and where bodies may touch (some 25 KB) for each thread: of more none stays in a cache
 MAX_RECORDED = 24_000_000  # numbers held at once by each thread of Python: about 200 MB
 WORKING = 8  # numbers a step that what acts on commands takes beside
 HALT: ContextVar[Event | None] = ContextVar("halt", default=None)  # once set, no simulation begins: CancelledError
@@ -70,15 +71,17 @@ class MujocoC:
         steps = request.segments.steps(model.opt.timestep)[request.which]
         acting = any(e.placed.effect.uses("control") for e in request.effects)
         width = model.nq + model.nv + model.nu + model.nsensordata + WORKING * acting
-        keeping = any(e.placed.effect.uses("body_force") for e in request.effects)
-        most = MAX_PERSISTENT if keeping else MAX_SIMULATIONS
+        threads = max(self.threads // self.users, 1)
+        most = MAX_SIMULATIONS
+        if any(e.placed.effect.uses("body_force") for e in request.effects):
+            most = MAX_TOUCHING * threads if may_touch(model) else MAX_PERSISTENT
         length = steps.max(initial=1) + num_before(request.effects, model.opt.timestep)
         size = int(np.clip(MAX_RECORDED // (width * length), 1, most))
         parts = []
         for begin in range(0, len(steps), size):
             if (halt := HALT.get()) is not None and halt.is_set():
                 raise CancelledError
-            rows, threads = slice(begin, min(begin + size, len(steps))), max(self.threads // self.users, 1)
+            rows = slice(begin, min(begin + size, len(steps)))
             with QUIET, UNTIMED:
                 parts.append(Chunk(model, request, rows, int(steps[rows].max()), threads).run(states))
             with _COUNTING:

@@ -85,7 +85,7 @@ class Stepper:
             self.time += self.dt
             for name, array in live.items():
                 out[name][:, k] = array
-            if apart:
+            if apart and (closing or k + 1 < num_steps):
                 self._place()
         if closing:
             self.prepare(commands[:, num_steps])

@@ -11,15 +11,25 @@ from sliding import PSI, TRUTH, XML, slides
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact import fit as fit_module
 from det2stoc_bayes.mismatch.contact import judge, run
+from det2stoc_bayes.mismatch.contact import pair as pair_module
 from det2stoc_bayes.mismatch.contact import yardstick as yardstick_module
-from det2stoc_bayes.mismatch.contact.believed import FINER, MEMBERS, believed, searched
+from det2stoc_bayes.mismatch.contact.believed import (
+    FINER,
+    MEMBERS,
+    NUM_REGARDED,
+    REGARDS,
+    believed,
+    grounded,
+    searched,
+)
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.differences import STEPS, columns_of, steady
 from det2stoc_bayes.mismatch.contact.evolution import PATIENCE, evolved
 from det2stoc_bayes.mismatch.contact.fit import _taught, at, fit_followed, newton
+from det2stoc_bayes.mismatch.contact.flow import Ground
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
 from det2stoc_bayes.mismatch.contact.judge import corrected, judged
-from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, climbed, nearer, with_memory, with_own
+from det2stoc_bayes.mismatch.contact.pair import MEMORIES, MOST_WORSE, Pair, climbed, nearer, with_memory, with_own
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.rollouts import LENGTH, rollouts
 from det2stoc_bayes.mismatch.contact.run import touches
@@ -384,7 +394,7 @@ def test_what_is_sure_is_named_though_something_beside_it_cannot_be_told(problem
         return Pair(at(fit, z), at(held, z, at(fit, z).scales))
 
     base, first, second, rival = (
-        pair(*given) for given in (((), 0.5), ((drag,), 0.8), ((drag, other), 1.0), ((drag, third), 1.0))
+        pair(*given) for given in (((), 0.5), ((drag,), 0.75), ((drag, other), 1.0), ((drag, third), 1.0))
     )
     rounds = [Round(base, (), (first,), first), Round(first, (), (second, rival), second)]
     monkeypatch.setattr(judge, "alike", lambda *_: False)
@@ -407,11 +417,13 @@ class Waves(Followed):
 
     size, floor, unknowns, shape = 2, np.full(2, -np.inf), Unknowns((), ()), (1, 10, 1)
     steps: list[tuple[int, float]]
+    asked: list[int]
     recording = cached_property(lambda _: np.zeros(1, int))
 
     def __init__(self):
         object.__setattr__(self, "problem", self)
         object.__setattr__(self, "steps", [])
+        object.__setattr__(self, "asked", [])
 
     def probes(self):
         return [np.array([0]), np.array([1])]
@@ -421,6 +433,7 @@ class Waves(Followed):
         return size
 
     def errors(self, z):
+        self.asked.append(len(z))
         phase = np.arange(10.0)
         return -(np.sin(20 * z[:, :1] + phase) + 3 * z[:, 1:])[:, None, :, None]
 
@@ -481,7 +494,9 @@ def test_sensitivities_that_are_known_nearby_are_not_found_anew():
 def test_errors_that_are_not_known_are_found_beside_the_first_differences():
     waves, z = Waves(), np.zeros(2)
     columns, sizes = columns_of(waves, z, waves.errors(z[None])[0])
+    waves.asked.clear()
     again, found = columns_of(waves, z, None)
+    assert waves.asked[0] == 5 and sum(n % 2 for n in waves.asked) == 1  # two sides of two unknowns, and the middle
     np.testing.assert_array_equal(found, sizes)
     np.testing.assert_array_equal(again, columns)
 
@@ -503,6 +518,48 @@ def test_a_step_that_promises_next_to_nothing_is_not_tried(problem, sliding):
         ends.append(fit_followed(fit.followed, fit.z, like=fit, iterations=1, settled=settled))
         tried.append(counter.simulations - begun)
     assert tried[0] > 0 == tried[1] and ends[0].loss < ends[1].loss == fit.loss
+
+
+@pytest.mark.parametrize(("needed", "tried"), [(-10.0, True), (3.0, True), (5.0, False)])
+def test_no_step_is_tried_from_where_what_is_needed_is_out_of_reach(problem, sliding, needed, tried):
+    """It is given up where a step promises less than a quarter of it."""
+    fit = at(Followed(problem).hearing(sliding), np.full(1, -0.5))
+    promised = 0.5 * float((fit.slopes.sum(0) - fit.z) @ newton(fit, ()))
+    found = fit_followed(fit.followed, fit.z, like=fit, iterations=1, needed=needed * promised)
+    assert (found.loss < fit.loss) == tried
+
+
+def test_memories_are_tried_in_turn_until_two_serve_less(fit, monkeypatch):
+    worth = dict(zip(MEMORIES, (5.0, 4.0, 6.0, 4.5, 0.0, 0.0), strict=True))
+
+    def told(followed, z):
+        one = replace(fit, followed=followed)
+        one.__dict__["losses"] = np.array([worth[followed.memory]])
+        return one
+
+    monkeypatch.setattr(pair_module, "at", told)
+    tried = pair_module.remembering_each(fit, MEMORIES)
+    assert [f.followed.memory for f in tried] == list(MEMORIES[:4])
+    assert len(pair_module.remembering_each(fit, MEMORIES, -1e9)) == MOST_WORSE
+
+
+def test_what_is_heard_is_told_without_a_simulation(problem, sliding):
+    begun, whole = problem.simulator.counter, at(Followed(problem), z_of(problem, TRUTH))
+    count = begun.simulations
+    some = whole.hearing(sliding)
+    assert begun.simulations == count
+    assert some.loss == pytest.approx(at(Followed(problem).hearing(sliding), whole.z).loss, abs=1e-9)
+
+
+def test_the_regards_of_contact_that_are_told_best_are_fitted(problem, sliding):
+    fit = fit_followed(Followed(problem, 12.0).hearing(sliding), z_of(problem, TRUTH))
+    found = grounded(fit)
+    assert len(found) == NUM_REGARDED and all(f.loss <= at(f.followed, fit.z).loss for f in found)
+    ground = Ground(problem, fit.z)
+    each = [fit, *(at(fit.followed.grounded(ground.regarding(*way)), fit.z) for way in REGARDS)]
+    best = sorted(each, key=lambda f: f.hearing(telling(min(each, key=lambda f: f.loss))).loss)[:NUM_REGARDED]
+    held = [(f.followed.ground.holds, f.followed.ground.share) if f.followed.ground else None for f in best]
+    assert held == [(f.followed.ground.holds, f.followed.ground.share) if f.followed.ground else None for f in found]
 
 
 @pytest.mark.parametrize("room", [0.1, 0.16, 0.3])

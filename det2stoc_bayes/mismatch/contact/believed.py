@@ -5,6 +5,7 @@ by no derivative, before anything is chosen there. And a lone simulation, which 
 favours a psi that rattles less: a wrong friction hid an effect so. So the mean of some foretells, but in that search.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -93,5 +94,9 @@ def grounded(fit: ContactFit) -> list[ContactFit]:
     begun = [fit, *side_by_side(fit.problem, partial(at, z=fit.z), led)]
     heard = telling(min(begun, key=lambda f: f.loss))
     best = sorted(begun, key=lambda f: f.hearing(heard).loss)[:NUM_REGARDED]
-    again = partial(fit_followed, iterations=SKETCH)
-    return side_by_side(fit.problem, lambda f: f if f is fit else again(f.followed, fit.z, like=f), best)
+
+    def fitted(begun: ContactFit) -> ContactFit:
+        like = replace(begun, sizes=fit.steps)
+        return begun if begun is fit else fit_followed(begun.followed, begun.z, iterations=SKETCH, like=like)
+
+    return side_by_side(fit.problem, fitted, best)

@@ -129,7 +129,7 @@ class ContactFit:
 
     def prepare(self) -> None:
         """What several threads are to read is found before, and once."""
-        _ = self.gram, self.left, self.as_believed.errors
+        _ = self.as_believed.errors, self.gram, self.left
 
     def hearing(self, heard: Bool[np.ndarray, " columns"]) -> "ContactFit":
         """The same by some columns alone."""
@@ -179,8 +179,8 @@ def fit_followed(
 
     `like` is a fit nearby, perhaps without the last unknowns, whose sensitivities are not found anew. They are
     found for `iterations` steps, and serve for a second one as well where a step was short. A step that gains less
-    than `settled` nats is the last, and one that promises less is not tried, nor one that promises next to nothing of
-    the nats that are `needed`.
+    than `settled` nats is the last. One that promises less is not tried, nor any where the top promises too small a
+    part of the nats that are still `needed`.
     """
     z = np.zeros(followed.problem.size) if z is None else np.array(z, float)
     there = like is not None and like.followed is followed and not len(others) and np.array_equal(like.z, z)
@@ -190,10 +190,11 @@ def fit_followed(
     goal = fit.loss - needed
     while iterations > 0:
         iterations = iterations if again else iterations - 1
-        step, taught = _step(fit, held), fit.known is not None
+        step, taught = newton(fit, held), fit.known is not None
         if 0.5 * _slope(fit, step) < max(settled, HOPE * (fit.loss - goal)):
-            fit = replace(fit, known=None) if taught else fit
+            fit = replace(fit, sizes=fit.differences[1], known=None) if taught else fit
             break
+        step *= min(1.0, LARGEST_STEP / max(np.abs(step).max(initial=0.0), 1e-12))
         found = _along(fit, step)
         gain, (columns, sizes) = fit.loss - found.loss, fit.differences
         short = np.abs(found.z - fit.z).max(initial=0.0) < NEAR
@@ -213,7 +214,7 @@ def _taught(fit: ContactFit, like: ContactFit) -> ContactFit:
     count, found = len(like.z), "differences" in like.__dict__
     steps = like.differences[1] if found or like.sizes is None else like.sizes
     sizes = np.concatenate([steps, np.full(len(fit.z) - count, np.nan)])
-    same = fit.errors.shape == like.errors.shape and fit.followed.leads_as(like.followed)
+    same = fit.errors.shape == like.errors.shape and not like.untold and fit.followed.leads_as(like.followed)
     near = same and np.abs(fit.z[:count] - like.z).max(initial=0.0) < NEAR
     return replace(fit, sizes=sizes, known=like.columns if found and near else None)
 
@@ -262,11 +263,6 @@ def newton(fit: ContactFit, held: Sequence[int]) -> Float[np.ndarray, " size"]:
         pull = fit.slopes.sum(0) - fit.z
         step[free] = np.linalg.solve(fit.gram[np.ix_(free, free)], pull[free])
     return step
-
-
-def _step(fit: ContactFit, held: Sequence[int]) -> np.ndarray:
-    step = newton(fit, held)
-    return step * min(1.0, LARGEST_STEP / max(np.abs(step).max(initial=0.0), 1e-12))
 
 
 def within(fit: ContactFit, z: np.ndarray) -> np.ndarray:

@@ -86,7 +86,7 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     small = not taken or sum(explains) < NEGLIGIBLE or _surely_little(before, led[0], final, rod)
     if small:
         out = tuple((r.taken, e) for r, e in zip(taken, explains, strict=True) if r.taken is not None)
-        shown = topped_pair(before, seed, rounds[0].luck) if taken else before
+        shown = topped_pair(before, seed) if taken else before
         return Verdict("no_mismatch", shown, after=shown, places=(), explains=(), negligible=out, **common)
     # An effect beside which psi strains at its prior may stand for another.
     strain = strained(final.fit.problem, final.fit.z)
@@ -97,7 +97,7 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
         told = others.after.fit
         if others.verdict == "mismatch" and unmoved(told.z, told.covariance, final.fit.z[: len(told.z)]):
             return replace(others, open_place=places[-1])
-    shown = before if sure else topped_pair(before, seed, rounds[0].luck)
+    shown = before if sure else topped_pair(before, seed)
     return Verdict(verdict, shown, after=final, places=places, explains=explains, **common)
 
 
@@ -117,14 +117,13 @@ def _surely_little(before: Pair, led: Pair, final: Pair, rod: Yardstick) -> bool
 
 def _without(before: Pair, rounds: list[Round], last: Round, seed: int) -> Verdict:
     """The verdict of what was taken before the last addition."""
-    shorter = topped_pair(last.base, seed, last.luck)
+    shorter = topped_pair(last.base, seed)
     return judged(before, [r for r in rounds if r is not last], seed, shorter, yardstick(shorter.fit, seed))
 
 
-def topped_pair(pair: Pair, seed: int, luck: float) -> Pair:
-    """A hypothesis at the top of its likelihood, whose bumps are so high."""
-    top = topped(pair.fit, np.random.default_rng([seed, 11]), luck)
-    return paired(no_surer_than_steps(top), pair.held.followed)
+def topped_pair(pair: Pair, seed: int) -> Pair:
+    """A hypothesis at the top of its likelihood."""
+    return paired(no_surer_than_steps(topped(pair.fit, np.random.default_rng([seed, 11]))), pair.held.followed)
 
 
 def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:

@@ -102,7 +102,8 @@ def climbed(fit: ContactFit) -> ContactFit:
 def longer_by_one(fit: ContactFit, settled: float = SETTLED) -> ContactFit | None:
     """The same hypothesis fitted with that longer memory which serves it best as it is, or else with the next one.
 
-    None where it has the longest. Memories beyond MOST_WORSE in a row that serve it less are not looked at.
+    None where it has the longest. Memories beyond MOST_WORSE in a row that serve it less than any before are not
+    looked at, and what is far behind is not fitted to the end.
     """
     tried = remembering_each(fit, [m for m in MEMORIES if m > fit.followed.memory], fit.loss)
     if not tried:
@@ -178,7 +179,10 @@ def remembering_more(pair: Pair, luck: float) -> Pair | None:
     if longer is None:
         return None
     more = best_bordered(paired(longer, pair.held.followed), anew=False)
-    return more if min(more.height - pair.height, more.fit.loss - pair.fit.loss) <= 0 else None
+    if more.height <= pair.height and more.fit.loss > pair.fit.loss:  # given up for recordings that are fitted alone
+        whole = fit_followed(more.fit.followed, more.fit.z, like=more.fit, settled=next_to_nothing(luck))
+        return paired(whole, pair.held.followed)
+    return more if more.fit.loss <= pair.fit.loss else None
 
 
 def with_memory(pair: Pair, memory: float) -> Pair:

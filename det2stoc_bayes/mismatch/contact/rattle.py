@@ -16,7 +16,7 @@ from scipy import stats
 from det2stoc_bayes.mismatch.contact.chances import alike, as_the_best
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
-from det2stoc_bayes.mismatch.contact.pair import SKETCH, Pair, finished, sketched, with_memory
+from det2stoc_bayes.mismatch.contact.pair import SKETCH, Pair, finished, next_to_nothing, sketched, with_memory
 from det2stoc_bayes.mismatch.contact.replicas import moved_freely
 from det2stoc_bayes.mismatch.contact.screen import Promise
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
@@ -116,9 +116,6 @@ def log_odds(
 
 
 def refitted(fit: ContactFit, followed: Followed, luck: float) -> ContactFit:
-    """A hypothesis after a few steps on other recordings; all are asked so, those that were recorded as well.
-
-    No step is tried that promises less than what leads scatter by anyway.
-    """
+    """A hypothesis after a few steps on other recordings; all are asked so, those that were recorded as well."""
     there = followed.with_problem(followed.problem.with_effects(fit.problem.effects))
-    return fit_followed(there, fit.z, iterations=SKETCH, like=fit, settled=luck)
+    return fit_followed(there, fit.z, iterations=SKETCH, like=fit, settled=next_to_nothing(luck))

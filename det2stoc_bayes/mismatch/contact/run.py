@@ -8,7 +8,6 @@ from det2stoc_bayes.engines.contacts import share_in_contact
 from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.believed import believed
-from det2stoc_bayes.mismatch.contact.chances import LUCK
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.followed import Followed
@@ -16,7 +15,7 @@ from det2stoc_bayes.mismatch.contact.judge import Verdict, classes, judged, topp
 from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
-from det2stoc_bayes.mismatch.contact.top import bumps, widened
+from det2stoc_bayes.mismatch.contact.top import widened
 from det2stoc_bayes.mismatch.contact.yardstick import SURELY, Yardstick, yardstick
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
@@ -47,11 +46,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     rod: Yardstick | None = None  # of the base, where that is at its top
     measured: tuple[Pair, Yardstick] | None = None
     while len(rounds) < MAX_EFFECTS and not (rod is not None and _settled(rounds[0].base, base, rod, progress)):
-        one = (
-            look(base, pool, progress, seed)
-            if pool
-            else Round(base, (), (), None, bumps(base.fit, np.random.default_rng(seed)))
-        )
+        one = look(base, pool, progress, seed) if pool else Round(base, (), (), None)
         rounds.append(one)
         base = one.taken or one.base
         rod = None
@@ -60,14 +55,14 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         if one.rivals and classes(one, np.random.default_rng(seed))[0].chance < SURE:
             break  # what else is missing depends on which of them it is
         progress("measuring what is left", 0, 1)
-        base, rod = measured = _measured(base, seed, one.luck)
+        base, rod = measured = _measured(base, seed)
     progress("scoring held-out recordings", 0, 1)
     before = rounds[0].base
     if measured is not None and measured[0] is base:
         rod = measured[1]
     if rod is None:
         alone = base is before
-        base, rod = _measured(base, seed, rounds[-1].luck)
+        base, rod = _measured(base, seed)
         if alone:  # beyond its bumps psi may be led astray: where it was found before is as likely
             before = base = replace(base, fit=widened(base.fit, first.fit.z))
     said = judged(before, rounds, seed, base, rod)
@@ -77,14 +72,9 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     return composer, _patch(said, composer)
 
 
-def _unasked(base: Pair, seed: int) -> Round:
-    """A round in which nothing is looked for."""
-    return Round(base, (), (), None, max(LUCK, bumps(base.fit, np.random.default_rng([seed, 4]))))
-
-
-def _measured(pair: Pair, seed: int, luck: float) -> tuple[Pair, Yardstick]:
+def _measured(pair: Pair, seed: int) -> tuple[Pair, Yardstick]:
     """A hypothesis at its top, and what errors it would leave."""
-    top = topped_pair(pair, seed, luck)
+    top = topped_pair(pair, seed)
     return top, yardstick(top.fit, seed)
 
 

@@ -24,16 +24,13 @@ BLUNTEST = 0.05  # each way, of what the round before says
 RIGHT = 0.7  # sharpness where sensitivities are right: reweighting takes errors for Gaussian
 
 
-def topped(fit: ContactFit, random: np.random.Generator, luck: float | None = None) -> ContactFit:
-    """The hypothesis at the top, its covariance widened by what sensitivities and bumps leave unknown of it.
-
-    `luck` is how high bumps are, where that is known.
-    """
+def topped(fit: ContactFit, random: np.random.Generator) -> ContactFit:
+    """The hypothesis at the top, its covariance widened by what sensitivities and bumps leave unknown of it."""
     ways = _ways(fit)
     wider = np.ones(ways.shape[1])
     if not len(wider):
         return fit
-    far = max(FAR, float(np.sqrt(2 * (bumps(fit, random) if luck is None else luck))))
+    far = max(FAR, float(np.sqrt(2 * bumps(fit, random))))
     for _ in range(ROUNDS):
         q = _quadratic(fit, ways, far, random)
         step = -q.slope / q.sharp
