@@ -41,7 +41,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "pair": Kind(1, MappingProxyType({"count": 2})),
         "control": Kind(2, MappingProxyType({"control": True})),
         "short_control": Kind(3, SHORT),
-        "contact": Kind(4, systems=TOUCHING, variants=("positions_only", "varying_psi")),
+        "contact": Kind(4, systems=TOUCHING, variants=("positions_only", "varying_psi"), named=True),
         "contact_control": Kind(
             5, MappingProxyType({"control": True}), systems=TOUCHING, variants=("positions_only", "varying_psi")
         ),

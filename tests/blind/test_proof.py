@@ -107,8 +107,9 @@ def test_kinds_of_cases():
     assert {d["system"] for d in found} == {"puck"}
     assert {v for d in found for v in d["variants"]} == {"positions_only", "varying_psi"}
     assert {d["system"] for d in draws("0", "contact", 0, Choice(("slider",)))} == set(TOUCHING)
-    (named,) = islice(draws("0", "effect", 3, Choice(names=("armature", "tether"))), 1)
-    assert named["effect"] == "tether"
+    for kind in ("effect", "contact"):
+        (named,) = islice(draws("0", kind, 3, Choice(names=("armature", "tether"))), 1)
+        assert named["effect"] == "tether"
 
 
 @pytest.mark.parametrize("studies", [1, 7, 20, 60, 61])
