@@ -44,7 +44,9 @@ def blind(
         str | None, typer.Option(metavar="HEX", help="By default the first 8 digits of git's HEAD, or 0.")
     ] = None,
     systems: Annotated[str, typer.Option(metavar="A,B,...", help="Draw from these systems alone.")] = "",
-    names: Annotated[str, typer.Option(metavar="A,B,...", help="What single effects are, in turn, with and without contact.")] = "",
+    names: Annotated[
+        str, typer.Option(metavar="A,B,...", help="What single effects are, in turn, with and without contact.")
+    ] = "",
     plain: Annotated[bool, typer.Option("--plain", help="States recorded evenly, noise told.")] = False,
     log: Annotated[Path | None, typer.Option(metavar="FILE", help="By default DIR/concealed.jsonl.")] = None,
     rescore: Annotated[
