@@ -81,11 +81,12 @@ class Stepper:
             self.prepare(commands[:, k])
             self._keep()
             self.past[:] = self.qvel
-            batch.step(stage=stage if closing or k + 1 < num_steps else _NONE)
+            wanted = closing or k + 1 < num_steps  # by what comes after the step
+            batch.step(stage=stage if wanted else _NONE)
             self.time += self.dt
             for name, array in live.items():
                 out[name][:, k] = array
-            if apart and (closing or k + 1 < num_steps):
+            if apart and wanted:
                 self._place()
         if closing:
             self.prepare(commands[:, num_steps])

@@ -41,8 +41,7 @@ def believed(followed: Followed, held: Followed) -> Pair:
     middle = middle.averaged(MEMBERS)
     best = min(side_by_side(middle.problem, partial(from_start, middle), starts), key=lambda f: f.loss)
     for times in FINER:
-        followed = best.followed.integrated(step / times, None)
-        fine = fit_followed(followed, best.z, iterations=SKETCH, like=best)
+        fine = fit_followed(best.followed.integrated(step / times, None), best.z, iterations=SKETCH, like=best)
         if certainty(best.losses - fine.losses, followed.recording) < FINER_CERTAIN:
             break
         best = fine
@@ -95,8 +94,8 @@ def grounded(fit: ContactFit) -> list[ContactFit]:
     heard = telling(min(begun, key=lambda f: f.loss))
     best = sorted(begun, key=lambda f: f.hearing(heard).loss)[:NUM_REGARDED]
 
-    def fitted(begun: ContactFit) -> ContactFit:
-        like = replace(begun, sizes=fit.steps)
-        return begun if begun is fit else fit_followed(begun.followed, begun.z, iterations=SKETCH, like=like)
+    def fitted(one: ContactFit) -> ContactFit:
+        like = replace(one, sizes=fit.steps)
+        return one if one is fit else fit_followed(one.followed, one.z, iterations=SKETCH, like=like)
 
     return side_by_side(fit.problem, fitted, best)

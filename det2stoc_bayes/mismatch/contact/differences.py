@@ -40,8 +40,7 @@ def columns_of(
     sizes = np.full(problem.size, np.nan) if sizes is None else sizes.copy()
     first = 0 if known is None else known.shape[-1]
     columns[..., :first] = 0.0 if known is None else known
-    told, wider = problem.unknowns.followed(z), _wider(problem.unknowns, z, problem.size)
-    told = {*told, *untold}
+    told, wider = {*problem.unknowns.followed(z), *untold}, _wider(problem.unknowns, z, problem.size)
     probes = [which for which in problem.probes() if which[0] >= first and which[0] not in told]
     given = [which for which in probes if np.isfinite(sizes[which[0]])]
     found, errors = _differences(followed, z, errors, given, [float(sizes[w[0]] * wider[w[0]]) for w in given])
