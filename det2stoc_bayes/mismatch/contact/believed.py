@@ -23,7 +23,6 @@ from det2stoc_bayes.mismatch.contact.telling import telling
 MIDDLE = 12.0  # samples: long enough for a wrong psi to show, short enough for a missing effect not to hide a right one
 POPULATION, GENERATIONS = 12, 8  # of the search
 REGARDS = ((False, 1.0), (True, 1.0), (True, 0.1))  # whether contact holds bodies, and the share of its jolts
-NUM_REGARDED = 2  # of them and none, that are fitted
 MEMBERS = 2  # simulations whose mean foretells
 FINER = (2, 4)  # times: contact lasts for a few steps, so that shorter ones tell more than a higher order does
 FINER_CERTAIN = 1.5  # standard errors by which they must tell recordings better: each is twice as dear
@@ -36,15 +35,10 @@ def believed(followed: Followed, held: Followed) -> Pair:
     tells at all.
     """
     middle = followed.remembering(MIDDLE)
-    z, step = searched(middle), float(followed.problem.simulator.model.opt.timestep)
+    z = searched(middle)
     starts = (z, np.zeros_like(z))  # beside what is missing a search may end at the prior's edge
     middle = middle.averaged(MEMBERS)
     best = min(side_by_side(middle.problem, partial(from_start, middle), starts), key=lambda f: f.loss)
-    for times in FINER:
-        fine = fit_followed(best.followed.integrated(step / times, None), best.z, iterations=SKETCH, like=best)
-        if certainty(best.losses - fine.losses, followed.recording) < FINER_CERTAIN:
-            break
-        best = fine
     fits = grounded(climbed(best))
     heard = telling(min(fits, key=lambda f: f.loss))
     # What rattles has led psi astray: each is fitted to what is heard before one is chosen, and hears what it tells.
@@ -53,7 +47,22 @@ def believed(followed: Followed, held: Followed) -> Pair:
     both = heard & telling(at(whole.followed, best.z))
     if both.any() and (both != heard).any():
         best = fit_followed(best.followed.hearing(both), best.z, like=best)
-    return paired(climbed(best), held)
+    return paired(climbed(_finer(best)), held)
+
+
+def _finer(fit: ContactFit) -> ContactFit:
+    """Under shorter steps where these tell recordings better, and led by what contact does there."""
+    best, step = fit, float(fit.problem.simulator.model.opt.timestep)
+    for times in FINER:
+        fine = fit_followed(best.followed.integrated(step / times, None), best.z, iterations=SKETCH, like=best)
+        if certainty(best.losses - fine.losses, fit.followed.recording) < FINER_CERTAIN:
+            break
+        best = fine
+    ground = best.followed.ground
+    if best is fit or ground is None:
+        return best
+    led = best.followed.grounded(Ground(best.problem, best.z, ground.holds, ground.share))
+    return min(best, fit_followed(led, best.z, iterations=SKETCH, like=best), key=lambda f: f.loss)
 
 
 def searched(followed: Followed) -> Float[np.ndarray, " size"]:
@@ -83,7 +92,9 @@ def best_remembered(fit: ContactFit) -> ContactFit:
 
 
 def grounded(fit: ContactFit) -> list[ContactFit]:
-    """The same hypothesis, led without regard to contact or with one, fitted: those that are told best as it is.
+    """The same hypothesis, led without regard to contact or with one, fitted.
+
+    One is the likeliest as it is, one the likeliest by what that tells at all; without regard it is fitted already.
 
     What slides is held by its floor and jolted little, though noise that is drawn anew throws simulations of it out of
     the floor; where something is missing, what holds a simulation may not hold the body.
@@ -91,8 +102,10 @@ def grounded(fit: ContactFit) -> list[ContactFit]:
     ground = Ground(fit.problem, fit.z)
     led = [fit.followed.grounded(ground.regarding(*way)) for way in REGARDS]
     begun = [fit, *side_by_side(fit.problem, partial(at, z=fit.z), led)]
-    heard = telling(min(begun, key=lambda f: f.loss))
-    best = sorted(begun, key=lambda f: f.hearing(heard).loss)[:NUM_REGARDED]
+    likeliest = min(begun, key=lambda f: f.loss)
+    heard = telling(likeliest)
+    clearest = min(begun, key=lambda f: f.hearing(heard).loss)
+    best = [f for f in begun if f in (fit, likeliest, clearest)]
 
     def fitted(one: ContactFit) -> ContactFit:
         like = replace(one, sizes=fit.steps)
