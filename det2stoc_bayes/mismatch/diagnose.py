@@ -17,12 +17,14 @@ from det2stoc_bayes.mismatch.conflict import needless, resolved
 from det2stoc_bayes.mismatch.contact.run import diagnosed, touches
 from det2stoc_bayes.mismatch.credence import weigh
 from det2stoc_bayes.mismatch.effects import PlacedEffect
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance
 from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.horizon import climb
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
 from det2stoc_bayes.mismatch.looks import Looks
-from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics
+from det2stoc_bayes.mismatch.numerics import Numerics, alone, check_numerics
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
+from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.replay import replay, states_of
 from det2stoc_bayes.mismatch.undecided import without_undecided
 from det2stoc_bayes.mismatch.unlisted import explain_by_all
@@ -141,8 +143,20 @@ class _Search:
 def _search(before: Fit, progress: Progress) -> _Search:
     """By all candidates, at a timestep that converges."""
     pool, looks = candidates(before.problem), Looks(progress)
-    numerics = check_numerics(before, float(before.problem.simulator.model.opt.timestep), len(pool))
+    step = float(before.problem.simulator.model.opt.timestep)
+
+    def beside(fit: Fit) -> Numerics | None:
+        """An error of integration that what is missing hides from the believed model: it shows beside an effect."""
+        missed = bool(fit.problem.effects) and fit.noise_inflation >= MODEL_ERROR
+        return alone(check_numerics(fit, step, len(pool)), before) if missed else None
+
+    numerics = check_numerics(before, step, len(pool))
+    if numerics is None and not by_chance(before):
+        ranked = looks.at(before, pool).ranked[:1]
+        numerics = next((beside(looks.extended(r.fit)) for r in ranked if r.gain >= threshold(len(pool))), None)
     found = explain_by_all(before if numerics is None else numerics.fit, pool, looks)
+    if numerics is None and (numerics := beside(found.after)) is not None:
+        found = explain_by_all(numerics.fit, pool, looks)
     return _Search(numerics, found, pool, looks)
 
 

@@ -41,22 +41,31 @@ def check_numerics(fit: Fit, timestep: float, num_candidates: int) -> Numerics |
     return Numerics(step, integrator, gain, better) if gain > threshold(num_candidates) else None
 
 
-def corrected(fit: Fit) -> Fit:
+def alone(found: Numerics | None, believed: Fit) -> Numerics | None:
+    """What was found beside effects for the believed model alone, as far as that could be fitted there."""
+    if found is None:
+        return None
+    better = fit_many([(_at(believed, found.timestep, found.integrator), believed.point)], tolerance=0.3)[0]
+    return None if better is None else replace(found, fit=better)
+
+
+def corrected(fit: Fit, below: float = MODEL_ERROR) -> Fit:
     """The fit without the believed timestep's error, where recordings are explained so well that it matters.
 
-    The error is taken from one finer simulation and held, so that all that follows costs what it did.
+    That is where noise is inflated by less than `below`. The error is taken from one finer simulation and held, so
+    that all that follows costs what it did.
     """
-    return comparable([fit])[0]
+    return comparable([fit], below)[0]
 
 
-def comparable(fits: Sequence[Fit]) -> list[Fit]:
+def comparable(fits: Sequence[Fit], below: float = MODEL_ERROR) -> list[Fit]:
     """Rival fits, the best and those near it without the believed timestep's error if the best is better for it.
 
     All that may be best then or none: an error of integration may be what favours one of two that hardly differ.
     """
     evidence = np.array([log_evidence(f) for f in fits])
     best = fits[int(evidence.argmax())]
-    if best.problem.timestep is not None or best.noise_inflation >= MODEL_ERROR:
+    if best.problem.timestep is not None or best.noise_inflation >= below:
         return list(fits)
     reach = evidence + np.maximum([0.5 * _excess(f) for f in fits], NEAR)
     near = [i for i in np.argsort(-evidence) if reach[i] > evidence.max()][:MOST_COMPARED]

@@ -8,6 +8,7 @@ from conftest import make_study, model_xml
 from simulated import PENDULUM, fit, noise_table, place, pose, recordings, run
 
 from det2stoc_bayes.mismatch import numerics
+from det2stoc_bayes.mismatch.diagnose import diagnose
 from det2stoc_bayes.mismatch.evidence import log_evidence
 from det2stoc_bayes.mismatch.numerics import check_numerics, comparable, corrected
 from det2stoc_bayes.mismatch.race import threshold
@@ -64,6 +65,23 @@ def test_missing_physics_is_not_blamed_on_the_timestep(tmp_path):
     base = believed(tmp_path, GOOD, push=twisted)
     assert base.noise_inflation > 3
     assert check_numerics(base, 0.005, 20) is None
+
+
+def test_an_error_of_integration_that_missing_physics_hides_is_no_effect(tmp_path):
+    """A delay of a sensor and less gravity were named for it, beside the ripple that hid it."""
+
+    def twisted(model, data):
+        data.qfrc_applied[0] = 0.3 * np.sin(4 * data.qpos[0])
+
+    noise, coarse = (5e-4, 5e-3), COARSE.replace("0.02", "0.01")
+    made = recordings(model_xml(PENDULUM, option=FINE), STARTS, 20 * np.arange(60), noise, push=twisted)
+    study = make_study(tmp_path / "study", model_xml(PENDULUM, option=coarse), PSI + noise_table(*noise), made)
+    assert check_numerics(fit(pose(study)), 0.01, 20) is None
+    told = diagnose(study).finding
+    assert told.verdict == "mismatch" and [e.name for e in told.effects] == ["cogging_torque"]
+    low, high = told.effects[0].parameters["amplitude"].interval
+    assert low < 0.3 < high  # measured: 0.30049 +- 0.00032
+    assert "integrates by RK4 at 0.01 s" in told.summary
 
 
 def test_a_change_that_gains_no_evidence_is_not_blamed(tmp_path, monkeypatch):
