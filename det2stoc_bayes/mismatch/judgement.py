@@ -92,14 +92,12 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     whole = held_out(after) if after.problem.effects else held_before
     share = 0.0
     if numerics is not None:
-        coarse = _at_believed_step(after)
-        steps = [(held_before, held_out(numerics.fit))]
-        steps += [(held_out(coarse), whole)] if after.problem.effects else []  # an effect may hide what steps err
-        share = max(share_explained(held_before, *step) for step in steps)
-        gone = max(held.chi2.sum() - finer.chi2.sum() for held, finer in steps)
+        finer = held_out(numerics.fit)
+        share = share_explained(held_before, held_before, finer)
+        gone = held_before.chi2.sum() - finer.chi2.sum()
         little = gone < NEGLIGIBLE * held_before.num_values.sum()  # beside noise: every step errs a little
         if share < NEGLIGIBLE or little:
-            numerics, after = None, corrected(coarse, below=np.inf)
+            numerics, after = None, corrected(_at_believed_step(after), below=np.inf)
             whole = held_out(after)
 
     def bare(fit: Fit, i: int) -> HeldOut | None:
