@@ -17,12 +17,12 @@ from det2stoc_bayes.mismatch.conflict import needless, resolved
 from det2stoc_bayes.mismatch.contact.run import diagnosed, touches
 from det2stoc_bayes.mismatch.credence import weigh
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence
 from det2stoc_bayes.mismatch.explain import Explanation
-from det2stoc_bayes.mismatch.horizon import climb
+from det2stoc_bayes.mismatch.horizon import climb, reaches
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
 from det2stoc_bayes.mismatch.looks import Looks
-from det2stoc_bayes.mismatch.numerics import Numerics, alone, check_numerics
+from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics, of_believed
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.replay import replay, states_of
@@ -141,23 +141,44 @@ class _Search:
 
 
 def _search(before: Fit, progress: Progress) -> _Search:
-    """By all candidates, at a timestep that converges."""
+    """By all candidates, at a timestep that converges.
+
+    What is missing may hide from the believed model how far its steps err: that is asked for once more beside the
+    effect that explains most, and beside all that was found.
+    """
     pool, looks = candidates(before.problem), Looks(progress)
     step = float(before.problem.simulator.model.opt.timestep)
 
+    def at(numerics: Numerics) -> _Search:
+        looks = Looks(progress)
+        return _Search(numerics, explain_by_all(numerics.fit, pool, looks), pool, looks)
+
     def beside(fit: Fit) -> Numerics | None:
-        """An error of integration that what is missing hides from the believed model: it shows beside an effect."""
         missed = bool(fit.problem.effects) and fit.noise_inflation >= MODEL_ERROR
-        return alone(check_numerics(fit, step, len(pool)), before) if missed else None
+        found = check_numerics(fit, step, len(pool)) if missed else None
+        return None if found is None else of_believed(found, before)
 
     numerics = check_numerics(before, step, len(pool))
-    if numerics is None and not by_chance(before):
-        ranked = looks.at(before, pool).ranked[:1]
-        numerics = next((beside(looks.extended(r.fit)) for r in ranked if r.gain >= threshold(len(pool))), None)
-    found = explain_by_all(before if numerics is None else numerics.fit, pool, looks)
-    if numerics is None and (numerics := beside(found.after)) is not None:
-        found = explain_by_all(numerics.fit, pool, looks)
-    return _Search(numerics, found, pool, looks)
+    if numerics is not None:
+        return at(numerics)
+    ranked = [] if by_chance(before) else looks.at(before, pool).ranked
+    leader = looks.extended(ranked[0].fit) if ranked and ranked[0].gain >= threshold(len(pool)) else before
+    numerics = beside(leader)
+    if numerics is not None:
+        return at(numerics)
+    plain = _Search(None, explain_by_all(before, pool, looks), pool, looks)
+    after = plain.found.after
+    numerics = None if after is leader else beside(after)
+    again = plain if numerics is None else at(numerics)
+    return again if _tells_more(again.found.after, after) else plain
+
+
+def _tells_more(fit: Fit, other: Fit) -> bool:
+    """Whether a fit tells the same stretches better than another, or longer ones."""
+    if fit.problem.segments.extent != other.problem.segments.extent:
+        return reaches(fit, other)
+    share = effective_share(fit)
+    return bool(log_evidence(fit, share) > log_evidence(other, share))
 
 
 def _believed(corrected: Fit, believed: Fit) -> Fit:

@@ -11,7 +11,7 @@ from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.finding import SURE, RecordingPart
 from det2stoc_bayes.mismatch.heldout import HeldOut, held_out
 from det2stoc_bayes.mismatch.horizon import extend
-from det2stoc_bayes.mismatch.numerics import Numerics, corrected
+from det2stoc_bayes.mismatch.numerics import Numerics, corrected, held_error
 from det2stoc_bayes.mismatch.refit import refit, swap, without
 from det2stoc_bayes.mismatch.shares import (
     NEGLIGIBLE,
@@ -92,12 +92,15 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     whole = held_out(after) if after.problem.effects else held_before
     share = 0.0
     if numerics is not None:
-        finer = held_out(numerics.fit)
+        fine: Fit | None = numerics.fit
+        if before.problem.segments.extent != fine.problem.segments.extent:  # shorter stretches hide what is missing
+            fine = refit(after, ())
+        finer = held_before if fine is None else held_out(fine)
         share = share_explained(held_before, held_before, finer)
         gone = held_before.chi2.sum() - finer.chi2.sum()
         little = gone < NEGLIGIBLE * held_before.num_values.sum()  # beside noise: every step errs a little
         if share < NEGLIGIBLE or little:
-            numerics, after = None, corrected(_at_believed_step(after), below=np.inf)
+            numerics, after = None, held_error(after, numerics)
             whole = held_out(after)
 
     def bare(fit: Fit, i: int) -> HeldOut | None:

@@ -12,12 +12,11 @@ from det2stoc_bayes.mismatch.screen import Screened
 from det2stoc_bayes.optimize import Fit
 
 NUM_TRUER = 2  # pairs that are fitted beside one that leaves but chance
-type Steps = tuple[float | None, str | None]  # timestep and integrator, where they are not the believed ones
-type Hypothesis = tuple[frozenset[PlacedEffect], tuple[tuple[int, int], bytes], Steps]  # effects, segments, integration
+type Hypothesis = tuple[frozenset[PlacedEffect], tuple[tuple[int, int], bytes]]  # effects, and segments
 
 
 class Looks:
-    """Slots and pairs by the effects, the segments and the integration of the fit that they stand beside."""
+    """Slots and pairs by the effects and the segments of the fit that they stand beside."""
 
     def __init__(self, progress: Progress = lambda *_: None):
         self.progress = progress
@@ -78,5 +77,4 @@ class Looks:
 
 
 def _key(fit: Fit) -> Hypothesis:
-    problem = fit.problem
-    return frozenset(problem.effects), problem.segments.key, (problem.timestep, problem.integrator)
+    return frozenset(fit.problem.effects), fit.problem.segments.key

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence, profile
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_evidence, profile
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Finer, Problem
@@ -20,7 +20,10 @@ NEGLIGIBLE = 4.0  # whitened squared change of all samples that no evidence coul
 
 @dataclass(frozen=True, eq=False)
 class Numerics:
-    """A timestep and integrator that converge, and what they gain in evidence."""
+    """A timestep and integrator that converge, what they gain in evidence, and the fit under them.
+
+    Where they were found beside effects that is the gain there, and the believed model's fit without these.
+    """
 
     timestep: float
     integrator: str
@@ -37,35 +40,41 @@ def check_numerics(fit: Fit, timestep: float, num_candidates: int) -> Numerics |
     better = fit_many([(_at(fit, step, integrator), fit.point)], tolerance=0.3)[0]
     if better is None:
         return None
-    gain = log_evidence(better) - log_evidence(fit)
+    share = effective_share(better)
+    gain = log_evidence(better, share) - log_evidence(fit, share)
     return Numerics(step, integrator, gain, better) if gain > threshold(num_candidates) else None
 
 
-def alone(found: Numerics | None, believed: Fit) -> Numerics | None:
-    """What was found beside effects for the believed model alone, as far as that could be fitted there."""
-    if found is None:
-        return None
+def of_believed(found: Numerics, believed: Fit) -> Numerics | None:
+    """What was found beside effects, with the believed model's own fit; None where that cannot follow."""
     better = fit_many([(_at(believed, found.timestep, found.integrator), believed.point)], tolerance=0.3)[0]
     return None if better is None else replace(found, fit=better)
 
 
-def corrected(fit: Fit, below: float = MODEL_ERROR) -> Fit:
+def held_error(fit: Fit, numerics: Numerics) -> Fit:
+    """A fit at a finer step as one at the believed step, whose error is held as it is there."""
+    plain = _at(fit, None, None)
+    here = plain.simulator.rollout(plain.request(fit.point.z[None], fit.point.start))
+    shifted = replace(plain, finer=Finer(numerics.timestep, numerics.integrator, _predicted(fit) - here))
+    return fit_many([(shifted, fit.point)], tolerance=0.3)[0] or fit
+
+
+def corrected(fit: Fit) -> Fit:
     """The fit without the believed timestep's error, where recordings are explained so well that it matters.
 
-    That is where noise is inflated by less than `below`. The error is taken from one finer simulation and held, so
-    that all that follows costs what it did.
+    The error is taken from one finer simulation and held, so that all that follows costs what it did.
     """
-    return comparable([fit], below)[0]
+    return comparable([fit])[0]
 
 
-def comparable(fits: Sequence[Fit], below: float = MODEL_ERROR) -> list[Fit]:
+def comparable(fits: Sequence[Fit]) -> list[Fit]:
     """Rival fits, the best and those near it without the believed timestep's error if the best is better for it.
 
     All that may be best then or none: an error of integration may be what favours one of two that hardly differ.
     """
     evidence = np.array([log_evidence(f) for f in fits])
     best = fits[int(evidence.argmax())]
-    if best.problem.timestep is not None or best.noise_inflation >= below:
+    if best.problem.timestep is not None or best.noise_inflation >= MODEL_ERROR:
         return list(fits)
     reach = evidence + np.maximum([0.5 * _excess(f) for f in fits], NEAR)
     near = [i for i in np.argsort(-evidence) if reach[i] > evidence.max()][:MOST_COMPARED]
@@ -106,7 +115,7 @@ def _converged(fit: Fit, timestep: float) -> tuple[float, str, Float[np.ndarray,
     return None
 
 
-def _at(fit: Fit, timestep: float, integrator: str | None) -> Problem:
+def _at(fit: Fit, timestep: float | None, integrator: str | None) -> Problem:
     return replace(fit.problem, timestep=timestep, integrator=integrator)
 
 

@@ -129,7 +129,7 @@ def finer_step(problem: Problem) -> str:
         return ""
     return (
         f"The corrected simulator integrates by {finer.integrator} at {finer.timestep:g} s, "
-        "since in so good a fit the error of the believed step would show."
+        "since the error of the believed step would show beside what was found."
     )
 
 

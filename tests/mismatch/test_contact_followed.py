@@ -560,7 +560,7 @@ def test_the_regards_of_contact_that_are_told_best_are_fitted(problem, sliding):
     found = grounded(fit)
     assert found[0] is fit and all(f.loss <= at(f.followed, fit.z).loss for f in found)
     ground = Ground(problem, fit.z)
-    each = [fit, *(at(fit.followed.grounded(ground.regarding(*way)), fit.z) for way in REGARDS)]
+    each = [fit, *(at(fit.followed.grounded(ground.regarding(*regard)), fit.z) for regard in REGARDS)]
     likeliest = min(each, key=lambda f: f.loss)
     clearest = min(each, key=lambda f: f.hearing(telling(likeliest)).loss)
     assert {way(f) for f in found} == {None, way(likeliest), way(clearest)}

@@ -12,6 +12,7 @@ from det2stoc_bayes.mismatch.heldout import held_out
 from det2stoc_bayes.mismatch.judgement import SPOILT, _spoils
 from det2stoc_bayes.mismatch.numerics import Numerics
 from det2stoc_bayes.mismatch.race import Ranked, Slot
+from det2stoc_bayes.segments import cut
 
 
 @pytest.mark.parametrize(
@@ -65,3 +66,24 @@ def test_an_error_of_integration_that_is_nothing_beside_noise_is_not_named(tmp_p
     judged = judgement.judge(base, Explanation(base, base, (), 10, 1.0), Numerics(1e-3, "RK4", 100.0, finer))
     assert judged.verdict == verdict and (judged.numerics is None) == (verdict == "no_mismatch")
     assert judged.numerics_share == 1.0
+
+
+def test_an_error_of_integration_is_sized_over_the_stretches_of_what_is_told(tmp_path, monkeypatch):
+    """Short stretches, whose starts absorb what is missing, would give the steps the merit of the effect."""
+    base = fit(spring_problem(tmp_path, noise=1e-3))
+    placed = place(base.problem, "quadratic_damping", "slide")
+    after = fit(replace(base.problem.with_effects([placed]), timestep=1e-3, integrator="RK4"))
+    cut_short = base.problem.on(cut(base.problem.segments.recordings, 10, base.problem.segments.columns))
+    finer = fit(replace(cut_short, timestep=1e-3, integrator="RK4"))
+    scores = held_out(base)
+
+    def told(fitted):
+        here = fitted.problem.segments.extent == base.problem.segments.extent
+        return replace(scores, chi2=(100.0 if here and not fitted.problem.effects else 1.0) * scores.num_values)
+
+    monkeypatch.setattr(judgement, "held_out", told)
+    monkeypatch.setattr(judgement, "extend", lambda f, far: f)
+    found = Explanation(base, after, (Slot(base, (), (Ranked(placed, after, 100.0),)),), 10, 1.0)
+    judged = judgement.judge(base, found, Numerics(1e-3, "RK4", 100.0, finer))
+    assert judged.numerics is None and judged.numerics_share == 0.0
+    assert [n.placed for n in judged.named] == [placed] and judged.after.problem.finer is not None

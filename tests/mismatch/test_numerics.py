@@ -7,10 +7,12 @@ import pytest
 from conftest import make_study, model_xml
 from simulated import PENDULUM, fit, noise_table, place, pose, recordings, run
 
+from det2stoc_bayes.mismatch import diagnose as module
 from det2stoc_bayes.mismatch import numerics
 from det2stoc_bayes.mismatch.diagnose import diagnose
 from det2stoc_bayes.mismatch.evidence import log_evidence
-from det2stoc_bayes.mismatch.numerics import check_numerics, comparable, corrected
+from det2stoc_bayes.mismatch.explain import Explanation
+from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics, comparable, corrected, held_error
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.statements import finer_step
 from det2stoc_bayes.optimize import fit_many
@@ -86,7 +88,7 @@ def test_an_error_of_integration_that_missing_physics_hides_is_no_effect(tmp_pat
 
 def test_a_change_that_gains_no_evidence_is_not_blamed(tmp_path, monkeypatch):
     base = believed(tmp_path, COARSE)
-    monkeypatch.setattr(numerics, "log_evidence", lambda fit: 8.0 * (fit is not base))
+    monkeypatch.setattr(numerics, "log_evidence", lambda fit, _: 8.0 * (fit is not base))
     assert check_numerics(base, 0.02, 20) is None
     assert check_numerics(base, 0.02, 1) is not None
 
@@ -107,6 +109,45 @@ def test_a_slight_error_of_integration_does_not_bias(tmp_path):
     assert (other.integrator, other.finer) == ("RK4", None)
     assert f"by RK4 at {better.problem.finer.timestep:g} s" in finer_step(better.problem)
     assert finer_step(base.problem) == ""
+
+
+def test_the_error_of_steps_that_a_fit_is_rid_of_is_held_however_large(tmp_path):
+    """The believed model's predictions then are those by the finer steps, and so is what is found."""
+    base = believed(tmp_path, COARSE)
+    found = check_numerics(base, 0.02, 20)
+    held = held_error(found.fit, found)
+    assert (held.problem.timestep, held.problem.finer.timestep) == (None, found.timestep)
+    assert base.noise_inflation > 5 and held.noise_inflation == pytest.approx(found.fit.noise_inflation, abs=0.01)
+    np.testing.assert_allclose(held.point.z, found.fit.point.z, atol=0.01 * np.sqrt(held.covariance[0, 0]))
+    assert f"by RK4 at {found.timestep:g} s" in finer_step(held.problem)
+
+
+def _looked_for(monkeypatch, base, first, better):
+    """What is searched of a fit where the first explanation is one fit, and by finer steps another."""
+    searched = []
+
+    def explained(before, pool, looks):
+        searched.append((before.problem.timestep, looks))
+        after = first if before.problem.timestep is None else better
+        return Explanation(before, after, (), len(pool), 1.0)
+
+    monkeypatch.setattr(module, "explain_by_all", explained)
+    monkeypatch.setattr(module, "check_numerics", lambda f, *_: None if f is base else Numerics(0.005, "RK4", 50.0, f))
+    return module._search(base, lambda *_: None), searched
+
+
+@pytest.mark.parametrize("tells_more", [True, False])
+def test_integration_is_asked_for_beside_all_that_was_found(tmp_path, monkeypatch, tells_more):
+    base = believed(tmp_path, COARSE, (5e-2, 5e-1))  # nothing is missing that a candidate would explain
+    placed = place(base.problem, "quadratic_damping", "pivot")
+    first = replace(fit(base.problem.with_effects([placed])), chi2=2.0 * base.linear.degrees_of_freedom)
+    better = replace(first, chi2=(1.0 if tells_more else 3.0) * base.linear.degrees_of_freedom)
+    found, searched = _looked_for(monkeypatch, base, first, better)
+    assert [step for step, _ in searched] == [None, 0.005] and searched[0][1] is not searched[1][1]
+    assert found.found.after is (better if tells_more else first)
+    assert (found.numerics is not None) is tells_more and found.looks is searched[tells_more][1]
+    if tells_more:  # the believed model's own fit, not that with the effect
+        assert found.numerics.fit.problem.effects == () and found.numerics.fit.problem.timestep == 0.005
 
 
 def test_what_a_finer_step_will_gain_is_foretold(tmp_path):
