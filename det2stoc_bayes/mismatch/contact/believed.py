@@ -47,13 +47,14 @@ def believed(followed: Followed, held: Followed) -> Pair:
     both = heard & telling(at(whole.followed, best.z))
     if both.any() and (both != heard).any():
         best = fit_followed(best.followed.hearing(both), best.z, like=best)
-    return paired(climbed(_finer(best)), held)
+    return paired(climbed(finer(best)), held)
 
 
-def _finer(fit: ContactFit) -> ContactFit:
+def finer(fit: ContactFit) -> ContactFit:
     """Under shorter steps where these tell recordings better, and led by what contact does there."""
     best, step = fit, float(fit.problem.simulator.model.opt.timestep)
-    for times in FINER:
+    now = fit.problem.timestep or step
+    for times in (n for n in FINER if step / n < now):
         fine = fit_followed(best.followed.integrated(step / times, None), best.z, iterations=SKETCH, like=best)
         if certainty(best.losses - fine.losses, fit.followed.recording) < FINER_CERTAIN:
             break

@@ -7,12 +7,12 @@ import numpy as np
 from det2stoc_bayes.engines.contacts import share_in_contact
 from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.mismatch.candidates import candidates
-from det2stoc_bayes.mismatch.contact.believed import believed
+from det2stoc_bayes.mismatch.contact.believed import believed, finer
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
-from det2stoc_bayes.mismatch.contact.fit import ContactFit
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.judge import Verdict, classes, judged, topped_pair
-from det2stoc_bayes.mismatch.contact.pair import Pair, with_memory
+from det2stoc_bayes.mismatch.contact.pair import SKETCH, Pair, paired, with_memory
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
 from det2stoc_bayes.mismatch.contact.top import widened
@@ -48,7 +48,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     while len(rounds) < MAX_EFFECTS and not (rod is not None and _settled(rounds[0].base, base, rod, progress)):
         one = look(base, pool, progress, seed) if pool else Round(base, (), (), None)
         rounds.append(one)
-        base = one.taken or one.base
+        base = one.base if one.taken is None else _by_steps_that_tell(one.taken)
         rod = None
         if one.taken is None:
             break
@@ -57,11 +57,11 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         progress("measuring what is left", 0, 1)
         base, rod = measured = _measured(base, seed)
     progress("scoring held-out recordings", 0, 1)
-    before = rounds[0].base
+    before = _by_steps_of(base, rounds[0].base)
     if measured is not None and measured[0] is base:
         rod = measured[1]
     if rod is None:
-        alone = base is before
+        alone = base is rounds[0].base
         base, rod = _measured(base, seed)
         if alone:  # beyond its bumps psi may be led astray: where it was found before is as likely
             before = base = replace(base, fit=widened(base.fit, first.fit.z))
@@ -70,6 +70,21 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     composer = ContactComposer(said, when, seed)
     progress("scoring held-out recordings", 1, 1)
     return composer, _patch(said, composer)
+
+
+def _by_steps_that_tell(pair: Pair) -> Pair:
+    """The same by shorter steps, where these tell better: what was missing may have hidden it."""
+    fit = finer(pair.fit)
+    return pair if fit is pair.fit else paired(fit, pair.held.followed)
+
+
+def _by_steps_of(other: Pair, pair: Pair) -> Pair:
+    """The same by the steps of another, which it is held against."""
+    step = other.fit.problem.timestep
+    if step == pair.fit.problem.timestep:
+        return pair
+    followed = pair.fit.followed.integrated(step, None)
+    return paired(fit_followed(followed, pair.fit.z, iterations=SKETCH, like=pair.fit), pair.held.followed)
 
 
 def _measured(pair: Pair, seed: int) -> tuple[Pair, Yardstick]:
