@@ -192,7 +192,7 @@ class ContactComposer:
     def _finer(self) -> str:
         if self.said.finer == 1:
             return ""
-        return f"Steps {self.said.finer} times as short tell the recordings better; hypotheses were compared by them."
+        return f"Steps {self.said.finer} times as short tell the recordings better; all that is told is by them."
 
     def _all_well(self, psi) -> str:
         said = self.said

@@ -58,7 +58,7 @@ class Verdict:
 
     @property
     def finer(self) -> int:
-        """How many times as short as the model's own the steps are by which hypotheses were compared."""
+        """How many times as short as the model's own the steps are by which before and after are told."""
         problem = self.before.fit.problem
         step = problem.simulator.model.opt.timestep
         return round(step / (problem.timestep or step))
