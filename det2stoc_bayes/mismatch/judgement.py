@@ -11,7 +11,7 @@ from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.finding import SURE, RecordingPart
 from det2stoc_bayes.mismatch.heldout import HeldOut, held_out
 from det2stoc_bayes.mismatch.horizon import extend
-from det2stoc_bayes.mismatch.numerics import Numerics, corrected, held_error
+from det2stoc_bayes.mismatch.numerics import Numerics, by_steps, corrected, held_error
 from det2stoc_bayes.mismatch.refit import refit, swap, without
 from det2stoc_bayes.mismatch.shares import (
     NEGLIGIBLE,
@@ -19,7 +19,7 @@ from det2stoc_bayes.mismatch.shares import (
     share_explained,
     shares_by_recording,
 )
-from det2stoc_bayes.optimize import Fit, fit_many
+from det2stoc_bayes.optimize import Fit
 
 SPOILT = 0.05  # of a column's held-out error: more of it where other columns gain is no chance
 
@@ -158,7 +158,7 @@ def _as_far_as_it_goes(before: Fit, after: Fit, numerics: Numerics | None) -> tu
     bare = None if longer is after else refit(longer, ())
     if bare is None:
         return before, after
-    return (bare if numerics is None else _at_believed_step(bare)), longer
+    return (bare if numerics is None else by_steps(bare, None, None) or bare), longer
 
 
 def _spoils(after: Fit, before: HeldOut, later: HeldOut) -> bool:
@@ -171,12 +171,6 @@ def _beyond_noise(after: Fit, explains: float, believed: HeldOut) -> bool:
     """Whether an effect changes recordings by more than their noise, in a model that explains them."""
     change = explains * excess_beyond_chance(believed)
     return after.noise_inflation < MODEL_ERROR and change > believed.num_values.sum()
-
-
-def _at_believed_step(fit: Fit) -> Fit:
-    """The same effects under the believed integration."""
-    problem = replace(fit.problem, timestep=None, integrator=None)
-    return fit_many([(problem, fit.point)], tolerance=0.3)[0] or fit
 
 
 def _class_of(place: list[Class], placed: PlacedEffect) -> Class:

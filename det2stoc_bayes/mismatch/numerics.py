@@ -37,7 +37,7 @@ def check_numerics(fit: Fit, timestep: float, num_candidates: int) -> Numerics |
     if found is None:
         return None
     step, integrator, _ = found
-    better = fit_many([(_at(fit, step, integrator), fit.point)], tolerance=0.3)[0]
+    better = by_steps(fit, step, integrator)
     if better is None:
         return None
     share = effective_share(better)
@@ -45,9 +45,14 @@ def check_numerics(fit: Fit, timestep: float, num_candidates: int) -> Numerics |
     return Numerics(step, integrator, gain, better) if gain > threshold(num_candidates) else None
 
 
+def by_steps(fit: Fit, timestep: float | None, integrator: str | None) -> Fit | None:
+    """The same hypothesis under another integration, None: the believed one; None where that cannot follow."""
+    return fit_many([(_at(fit, timestep, integrator), fit.point)], tolerance=0.3)[0]
+
+
 def of_believed(found: Numerics, believed: Fit) -> Numerics | None:
     """What was found beside effects, with the believed model's own fit; None where that cannot follow."""
-    better = fit_many([(_at(believed, found.timestep, found.integrator), believed.point)], tolerance=0.3)[0]
+    better = by_steps(believed, found.timestep, found.integrator)
     return None if better is None else replace(found, fit=better)
 
 
