@@ -136,7 +136,7 @@ class Hidden:
     prepare: Prepare
 
     def __call__(self, model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
-        """Changes a model; what to do before each step."""
+        """Changes a model; the forces to add to the passive ones."""
         return self.prepare(model)
 
 
@@ -154,7 +154,8 @@ def dragged(model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
     """Air that holds the drone back."""
 
     def push(data: mujoco.MjData) -> None:
-        data.xfrc_applied[1, :3] = -DRAG * data.qvel[:3]
+        force, torque = -DRAG * data.qvel[:3], np.zeros(3)
+        mujoco.mj_applyFT(model, data, force, torque, data.xipos[1], 1, data.qfrc_passive)
 
     return push
 
@@ -163,7 +164,7 @@ def hardened(model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
     """A spring of the far joint that grows with the cube."""
 
     def push(data: mujoco.MjData) -> None:
-        data.qfrc_applied[1] = -CUBIC * data.qpos[1] ** 3
+        data.qfrc_passive[1] -= CUBIC * data.qpos[1] ** 3
 
     return push
 
@@ -222,12 +223,14 @@ def recorded(scene: Scene, law: Prepare, random: Random) -> Float[np.ndarray, "s
     data, command = mujoco.MjData(model), scene.command(random)
     scene.begin(data, random)
     rows = []
-    for t in PERIOD * np.arange(round(scene.seconds / PERIOD) + 1):
-        data.ctrl[:] = command(float(t))
-        rows.append(np.concatenate([[t], data.qpos, data.qvel, data.ctrl]))
-        for _ in range(round(PERIOD / model.opt.timestep)):
-            push(data)
-            mujoco.mj_step(model, data)
+    mujoco.set_mjcb_passive(lambda _, at: push(at))  # at every stage of a step
+    try:
+        for t in PERIOD * np.arange(round(scene.seconds / PERIOD) + 1):
+            data.ctrl[:] = command(float(t))
+            rows.append(np.concatenate([[t], data.qpos, data.qvel, data.ctrl]))
+            mujoco.mj_step(model, data, nstep=round(PERIOD / model.opt.timestep))
+    finally:
+        mujoco.set_mjcb_passive(None)
     values, q = np.array(rows), model.nq
     values[:, 1 : 1 + q] += NOISE_Q * random.standard_normal((len(rows), q))
     values[:, 1 + q : 1 + q + model.nv] += NOISE_V * random.standard_normal((len(rows), model.nv))

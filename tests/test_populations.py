@@ -97,10 +97,10 @@ def test_a_new_recording_gets_its_own_value(fitted):
     """Held-out recordings are drawn from the population, not held at its mean."""
     found, _ = fitted
     study = found.problem.simulator.study
-    own = evaluate(found, dict.fromkeys((r.name for r in study.holdout), found.point.z), study.holdout)
+    own = evaluate(found, dict.fromkeys((r.name for r in study.holdout), found.point.z), study.holdout, None)
     assert (own.chi2 / own.num_values < 1.5).all()  # measured: 0.95 to 0.99
     alone = fit(replace_varies(found.problem), tolerance=1e-3)
-    same = evaluate(alone, dict.fromkeys((r.name for r in study.holdout), alone.point.z), study.holdout)
+    same = evaluate(alone, dict.fromkeys((r.name for r in study.holdout), alone.point.z), study.holdout, None)
     # Measured: 719 against 151 for 154 values, and 277 nats.
     assert same.chi2.sum() > 3 * own.chi2.sum()
     assert own.log_density.sum() > same.log_density.sum() + 100

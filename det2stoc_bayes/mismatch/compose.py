@@ -13,7 +13,6 @@ from det2stoc_bayes.mismatch.credence import Credence
 from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_evidence, probabilities
 from det2stoc_bayes.mismatch.experiment import propose
-from det2stoc_bayes.mismatch.heldout import horizon_samples
 from det2stoc_bayes.mismatch.judgement import Judgement, Named
 from det2stoc_bayes.mismatch.mirrors import mirrored
 from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond, over_equivalents
@@ -189,7 +188,7 @@ class Composer:
     def _scores(self) -> finding.Fit:
         before, after = self.judged.held_before, self.judged.held_after
         problem, gain = self.judged.before.problem, after.log_density - before.log_density
-        columns, samples = problem.segments.columns, horizon_samples(self.judged.before)
+        columns, samples = problem.segments.columns, before.samples
         excess = excess_beyond_chance(before)
         left = max(after.chi2.sum() - after.num_values.sum(), 0.0) / excess if excess else 0.0
         records = self.study.holdout or self.study.recordings
@@ -243,7 +242,7 @@ class Composer:
         if self.judged.negligible:
             names = ", ".join(p.label.replace("_", " ") for p, _ in self.judged.negligible)
             text += f" Significant but negligible (under {NEGLIGIBLE:.0%} of the error): {names}."
-        return text
+        return f"{text} {finer_step(self.judged.shown.problem)}".strip()
 
 
 def _untold(effect: finding.Effect, alone: bool) -> str:

@@ -119,7 +119,7 @@ def _stacking(judged: Judgement, before: HeldOut, after: HeldOut, rivals: dict[s
         return None
     densities = {"before": before.log_density, "after": after.log_density}
     if rivals:
-        scores = {name: held_out(fit).log_density for name, fit in rivals.items()}
+        scores = {name: held_out(fit, judged.before, judged.after).log_density for name, fit in rivals.items()}
         best = max(scores, key=lambda name: scores[name].sum())
         densities[best] = scores[best]
     weights = stacking_weights(np.stack(list(densities.values()), 1))

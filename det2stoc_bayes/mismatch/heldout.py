@@ -25,6 +25,7 @@ class HeldOut:
     """Scores of one hypothesis, one entry a held-out recording, and the rollouts behind them."""
 
     names: tuple[str, ...]
+    samples: int | None  # of a rollout; None: whole recordings
     log_density: Float[np.ndarray, " recordings"]
     chi2: Float[np.ndarray, " recordings"]  # whitened squared error, initial states integrated out
     num_values: Float[np.ndarray, " recordings"]
@@ -39,27 +40,28 @@ class HeldOut:
             return np.sqrt(self.squared_error.sum(0) / self.num_errors.sum(0))
 
 
-def horizon_samples(fit: Fit) -> int | None:
-    """Samples of a rollout: those of the fit's own stretches; None for whole recordings."""
-    segments = fit.problem.segments
-    if segments.whole:
-        return None
-    return int(np.median(segments.lengths))
+def horizon_samples(*fits: Fit) -> int | None:
+    """Samples of a rollout that all fits can be asked for: their shortest stretches; None for whole recordings."""
+    parts = [f.problem.segments for f in fits if not f.problem.segments.whole]
+    return min((int(np.median(s.lengths)) for s in parts), default=None)
 
 
-def evaluate(fit: Fit, z_by_recording: dict[str, np.ndarray], recordings: tuple[Recording, ...]) -> HeldOut:
-    """Scores of recordings under the unknowns given for each of them."""
+def evaluate(
+    fit: Fit, z_by_recording: dict[str, np.ndarray], recordings: tuple[Recording, ...], samples: int | None
+) -> HeldOut:
+    """Scores of recordings under the unknowns given for each of them, in rollouts of so many samples."""
     alike: dict[bytes, list[Recording]] = {}
     for r in recordings:
         alike.setdefault(z_by_recording[r.name].tobytes(), []).append(r)
     scores: dict[str, _Score] = {}
     for same in alike.values():
         for group in _together(same):
-            scores |= _scores(fit, z_by_recording[group[0].name], group)
+            scores |= _scores(fit, z_by_recording[group[0].name], group, samples)
     names = tuple(r.name for r in recordings)
     listed = [scores[name] for name in names]
     return HeldOut(
         names,
+        samples,
         np.array([s.log_density for s in listed]),
         np.array([s.chi2 for s in listed]),
         np.array([s.num_values for s in listed]),
@@ -87,7 +89,7 @@ def foretold(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> dict
 
 
 def _foretold(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> dict[str, float]:
-    problem, posed = _posed(fit, z, recordings)
+    problem, posed = _posed(fit, z, recordings, horizon_samples(fit))
     segments, predicted = problem.segments, _rollout(problem, posed)
     if not np.isfinite(predicted).all():
         if len(recordings) > 1:
@@ -109,20 +111,22 @@ def _together(recordings: Sequence[Recording]) -> list[tuple[Recording, ...]]:
     return [tuple(g) for g in groups]
 
 
-def _posed(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> tuple[Problem, np.ndarray]:
-    """The same hypothesis on other recordings, at the fit's horizon."""
-    problem = fit.problem.on(cut(recordings, horizon_samples(fit), fit.problem.segments.columns))
+def _posed(
+    fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...], samples: int | None
+) -> tuple[Problem, np.ndarray]:
+    """The same hypothesis on other recordings, in stretches of so many samples."""
+    problem = fit.problem.on(cut(recordings, samples, fit.problem.segments.columns))
     return problem, fit.problem.carry(z, problem)
 
 
-def _scores(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...]) -> dict[str, _Score]:
+def _scores(fit: Fit, z: np.ndarray, recordings: tuple[Recording, ...], samples: int | None) -> dict[str, _Score]:
     """Recordings with the same unknowns are simulated together, unless one of them diverges."""
-    problem, posed = _posed(fit, z, recordings)
+    problem, posed = _posed(fit, z, recordings, samples)
     segments, lin = problem.segments, fit_starts(problem, posed)
     predicted = np.array(np.nan) if lin is None else _rollout(problem, posed)
     if lin is None or not np.isfinite(predicted).all():  # a start that its warm-up fits may still lead astray
         if len(recordings) > 1:
-            return {name: s for r in recordings for name, s in _scores(fit, z, (r,)).items()}
+            return {name: s for r in recordings for name, s in _scores(fit, z, (r,), samples).items()}
         return {r.name: _diverged(segments, r) for r in recordings}
     chi2, normalizer = _integrated(lin)
     error = problem.residuals(predicted).reshape(segments.values.shape)
@@ -175,11 +179,13 @@ def _warm(length: int) -> int:
     return min(max(LEAST_WARM_UP, round(WARM_UP * length)), length // 2)
 
 
-def predicted_states(fit: Fit, recordings: tuple[Recording, ...]) -> dict[str, Float[np.ndarray, "samples nq"]]:
+def predicted_states(
+    fit: Fit, recordings: tuple[Recording, ...], samples: int | None
+) -> dict[str, Float[np.ndarray, "samples nq"]]:
     """The positions behind the rollouts of recordings that were not fitted; NaN where a rollout diverged."""
     out = {}
     for recording in recordings:
-        problem, posed = _posed(fit, fit.point.z, (recording,))
+        problem, posed = _posed(fit, fit.point.z, (recording,), samples)
         segments, found = problem.segments, problem.simulator.engine.trajectory(_from_warm_up(problem, posed)).qpos
         out[recording.name] = np.concatenate([found[s, : segments.lengths[s]] for s in range(segments.count)])
     return out
@@ -218,20 +224,21 @@ def leave_one_out(fit: Fit) -> dict[str, np.ndarray]:
     return out
 
 
-def held_out(fit: Fit) -> HeldOut:
+def held_out(fit: Fit, *beside: Fit) -> HeldOut:
     """Scores on the study's held-out recordings, or, where it has none, on each recording left out in turn.
 
-    A single recording is scored as it was fitted: nothing can be left out.
+    Rollouts are as long as the stretches of the fit, or of those `beside` it where these follow less far: what is
+    compared is asked for the same. A single recording is scored as it was fitted: nothing can be left out.
     """
-    study = fit.problem.simulator.study
+    study, samples = fit.problem.simulator.study, horizon_samples(fit, *beside)
     if study.holdout:
-        return evaluate(fit, dict.fromkeys((r.name for r in study.holdout), fit.point.z), study.holdout)
+        return evaluate(fit, dict.fromkeys((r.name for r in study.holdout), fit.point.z), study.holdout, samples)
     if len(study.recordings) == 1:
-        return fitted(fit)
-    return evaluate(fit, leave_one_out(fit), study.recordings)
+        return fitted(fit, *beside)
+    return evaluate(fit, leave_one_out(fit), study.recordings, samples)
 
 
-def fitted(fit: Fit) -> HeldOut:
+def fitted(fit: Fit, *beside: Fit) -> HeldOut:
     """The same for the recordings that were fitted."""
-    study = fit.problem.simulator.study
-    return evaluate(fit, dict.fromkeys((r.name for r in study.recordings), fit.point.z), study.recordings)
+    records = fit.problem.simulator.study.recordings
+    return evaluate(fit, dict.fromkeys((r.name for r in records), fit.point.z), records, horizon_samples(fit, *beside))

@@ -11,7 +11,7 @@ from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.finding import SURE, RecordingPart
 from det2stoc_bayes.mismatch.heldout import HeldOut, held_out
 from det2stoc_bayes.mismatch.horizon import extend
-from det2stoc_bayes.mismatch.numerics import Numerics, by_steps, corrected, held_error
+from det2stoc_bayes.mismatch.numerics import Numerics, by_steps, converging, corrected, held_error
 from det2stoc_bayes.mismatch.refit import refit, swap, without
 from det2stoc_bayes.mismatch.shares import (
     NEGLIGIBLE,
@@ -86,29 +86,34 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     for i, placed in enumerate(after.problem.effects):
         after = swap(after, i, _class_of(places[i], placed).members[0])
     if after.problem.effects:
-        before, after = _as_far_as_it_goes(before, corrected(after), numerics)
-    held_before = held_out(before)
+        before, after, numerics = _as_far_as_it_goes(before, corrected(after), numerics)
+    pair = before, after
+
+    def scored(fit: Fit) -> HeldOut:
+        return held_out(fit, *pair)
+
+    held_before = scored(before)
     told_share = found.share if after is found.after else effective_share(after)
-    whole = held_out(after) if after.problem.effects else held_before
+    whole = scored(after) if after.problem.effects else held_before
     share = 0.0
     if numerics is not None:
         fine: Fit | None = numerics.fit
         if before.problem.segments.extent != fine.problem.segments.extent:  # shorter stretches hide what is missing
             fine = refit(after, ())
-        finer = held_before if fine is None else held_out(fine)
+        finer = held_before if fine is None else scored(fine)
         share = share_explained(held_before, held_before, finer)
         gone = held_before.chi2.sum() - finer.chi2.sum()
         little = gone < NEGLIGIBLE * held_before.num_values.sum()  # beside noise: every step errs a little
         if share < NEGLIGIBLE or little:
             numerics, after = None, held_error(after, numerics)
-            whole = held_out(after)
+            whole = scored(after)
 
     def bare(fit: Fit, i: int) -> HeldOut | None:
         """Scores without effect i; without a single one the believed model stands."""
         if len(fit.problem.effects) == 1 and numerics is None:
             return held_before
         lean = _lean(found, fit, i)
-        return None if lean is None else held_out(lean)
+        return None if lean is None else scored(lean)
 
     named, negligible = [], []
     for i, placed in enumerate(after.problem.effects):
@@ -126,14 +131,17 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     for placed, _ in negligible:
         after = _lean(found, after, list(after.problem.effects).index(placed)) or after
     if negligible and named:  # what the others explain is told beside those that stay
-        whole = held_out(after)
+        whole = scored(after)
         kept = list(after.problem.effects)
         named = [replace(n, bare=bare(after, kept.index(n.placed))).scored(held_before, whole) for n in named]
     if not named and numerics is None:
-        verdict, after = "no_mismatch", before
+        verdict = "no_mismatch"
+        if after.problem.finer is not None and not after.problem.effects:  # psi would make up for the error it holds
+            before, held_before = after, scored(after)
+        after = before
     else:
         verdict = "mismatch" if all(n.chosen.probability >= SURE for n in named) else "inconclusive"
-    held_after = held_before if after is before else whole if named else held_out(after)
+    held_after = held_before if after is before else whole if named else scored(after)
     if named and _spoils(after, held_before, held_after):
         verdict = "inconclusive"
     return Judgement(
@@ -152,13 +160,17 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
     )
 
 
-def _as_far_as_it_goes(before: Fit, after: Fit, numerics: Numerics | None) -> tuple[Fit, Fit]:
-    """An explanation at the longest horizon that it serves, and the believed model there; as they are if it fails."""
+def _as_far_as_it_goes(before: Fit, after: Fit, numerics: Numerics | None) -> tuple[Fit, Fit, Numerics | None]:
+    """An explanation at the longest horizon that it serves, and the believed model there; as they are if it fails.
+
+    Steps that converged for the believed model need not for what is told.
+    """
     longer = extend(after, far=True)
     bare = None if longer is after else refit(longer, ())
-    if bare is None:
-        return before, after
-    return (bare if numerics is None else by_steps(bare, None, None) or bare), longer
+    if bare is not None:
+        before, after = bare if numerics is None else by_steps(bare, None, None) or bare, corrected(longer)
+    after, numerics = converging(after, numerics)
+    return before, after, numerics
 
 
 def _spoils(after: Fit, before: HeldOut, later: HeldOut) -> bool:

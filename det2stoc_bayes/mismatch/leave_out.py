@@ -40,7 +40,8 @@ def checked(fit: Fit, held: HeldOut, belief: Belief) -> tuple[HeldOut, dict[str,
     if not names:
         return held, k, ()
     again = {name: refitted_without(fit, {name}) for name in names}
-    return _merged(held, evaluate(fit, again, tuple(r for r in study.recordings if r.name in again))), k, names
+    records = tuple(r for r in study.recordings if r.name in again)
+    return _merged(held, evaluate(fit, again, records, held.samples)), k, names
 
 
 def _merged(old: HeldOut, new: HeldOut) -> HeldOut:

@@ -56,6 +56,16 @@ def of_believed(found: Numerics, believed: Fit) -> Numerics | None:
     return None if better is None else replace(found, fit=better)
 
 
+def converging(fit: Fit, numerics: Numerics | None) -> tuple[Fit, Numerics | None]:
+    """A fit at a finer step, and what is told of that, by steps that converge for this very fit over its stretches."""
+    step = fit.problem.timestep
+    found = None if step is None else _converged(fit, step)
+    better = None if found is None else by_steps(fit, found[0], found[1])
+    if found is None or better is None:
+        return fit, numerics
+    return better, None if numerics is None else replace(numerics, timestep=found[0], integrator=found[1])
+
+
 def held_error(fit: Fit, numerics: Numerics) -> Fit:
     """A fit at a finer step as one at the believed step, whose error is held as it is there."""
     plain = _at(fit, None, None)
@@ -115,7 +125,7 @@ def _converged(fit: Fit, timestep: float) -> tuple[float, str, Float[np.ndarray,
         return None
     for ratio in RATIOS:
         coarser = there if ratio == FINE else _predicted(fit, timestep / ratio, "RK4")
-        if ratio == FINE or (np.isfinite(coarser).all() and _change(fit, coarser, there) < NEGLIGIBLE):
+        if ratio == FINE or (np.isfinite(coarser).all() and _moved(fit, coarser, there) < NEGLIGIBLE):
             return timestep / ratio, "RK4", coarser - here
     return None
 
@@ -134,6 +144,11 @@ def _change(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
     if not (np.isfinite(here).all() and np.isfinite(there).all()):
         return 0.0
     return _unabsorbed(fit, _difference(fit, here, there))
+
+
+def _moved(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
+    """The same that unknowns may absorb, who are then as many sds off as its root at most."""
+    return float((_difference(fit, here, there) ** 2).sum())
 
 
 def _promise(fit: Fit, shift: Float[np.ndarray, "segments samples columns"]) -> float:

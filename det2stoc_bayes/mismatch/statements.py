@@ -128,8 +128,8 @@ def finer_step(problem: Problem) -> str:
     if finer is None:
         return ""
     return (
-        f"The corrected simulator integrates by {finer.integrator} at {finer.timestep:g} s, "
-        "since the error of the believed step would show beside what was found."
+        f"The corrected simulator integrates by {finer.integrator} at {finer.timestep:g} s: "
+        "the error of the believed step is little, but it would show."
     )
 
 

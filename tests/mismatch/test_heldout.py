@@ -66,19 +66,19 @@ def test_one_step_is_a_refit_without_the_recording(tmp_path, with_effect):
 def test_rollouts_start_from_what_was_recorded_before_them(held):
     study = held.problem.simulator.study
     z = dict.fromkeys((r.name for r in study.holdout), held.point.z)
-    plain = evaluate(held, z, study.holdout)
+    plain = evaluate(held, z, study.holdout, None)
     changed = []
     for r in study.holdout:
         values = np.array(r.values)
         values[10:] += 0.05 * np.random.default_rng(0).standard_normal(values[10:].shape) + 0.2
         changed.append(replace(r, values=values))
-    other = evaluate(held, z, tuple(changed))
+    other = evaluate(held, z, tuple(changed), None)
     warm = []
     for r in study.holdout:
         values = np.array(r.values)
         values[3] += 10 * held.problem.noise
         warm.append(replace(r, values=values))
-    moved = evaluate(held, z, tuple(warm))
+    moved = evaluate(held, z, tuple(warm), None)
     for r in study.holdout:
         off = np.abs(other.rollouts[r.name] - plain.rollouts[r.name]) / held.problem.noise
         shift = np.abs(moved.rollouts[r.name] - plain.rollouts[r.name]) / held.problem.noise
@@ -134,7 +134,7 @@ def test_dropped_samples_leave_rollouts_in_step(held):
     values = np.array(r.values)
     values[15], values[20, 0] = np.nan, np.nan
     z = {r.name: held.point.z}
-    holed, plain = evaluate(held, z, (replace(r, values=values),)), evaluate(held, z, (r,))
+    holed, plain = (evaluate(held, z, (one,), None) for one in (replace(r, values=values), r))
     assert holed.rollouts[r.name].shape == plain.rollouts[r.name].shape
     np.testing.assert_allclose(holed.rollouts[r.name], plain.rollouts[r.name], atol=1e-5)
     assert holed.num_errors.tolist() == [[33.0, 34.0]]
@@ -143,7 +143,7 @@ def test_dropped_samples_leave_rollouts_in_step(held):
 def test_a_rollout_that_diverges_scores_nothing(held):
     study = held.problem.simulator.study
     z = dict.fromkeys((r.name for r in study.holdout), np.array([-1e10, 0.0]))  # a damping that drives
-    found = evaluate(held, z, study.holdout)
+    found = evaluate(held, z, study.holdout, None)
     assert (found.chi2 == DIVERGED * found.num_values).all()  # finite, so that shares of it stay numbers
     assert (found.log_density == -0.5 * found.chi2).all()
     assert np.isnan(found.rollouts["holdout_run_0"]).all()
@@ -167,6 +167,18 @@ def test_stretches_are_as_long_as_those_of_the_fit(tmp_path):
     found = fitted(short)
     assert found.rollouts["run_0"].shape == (40, 2)
     assert (found.num_errors == 2 * 10).all()
+
+
+def test_what_is_compared_is_asked_for_the_same_stretches(tmp_path):
+    """A hypothesis that follows whole recordings is held against one that does not over those that both follow."""
+    problem = spring_problem(tmp_path, noise=NOISE, push=hardening)
+    with_effect = problem.with_effects([place(problem, "cubic_stiffness", "slide", Typical(force=3, span=0.3))])
+    before, after = fit(problem.on(cut(problem.segments.recordings, 20))), fit(with_effect)
+    assert horizon_samples(before, after) == horizon_samples(after, before) == 20
+    first, second = held_out(before, after), held_out(after, before)
+    assert first.samples == second.samples == 20 and held_out(after).samples is None
+    assert (first.num_values == second.num_values).all() and (first.num_errors == second.num_errors).all()
+    assert second.chi2.sum() < first.chi2.sum()
 
 
 def test_a_single_recording_leaves_the_prior(tmp_path):

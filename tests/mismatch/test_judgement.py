@@ -37,7 +37,7 @@ def test_two_effects_that_explain_nothing_together_are_not_named(tmp_path, monke
     scores = held_out(base)
     error = {0: 100.0, 1: 300.0, 2: 99.0}  # times the number of values, by the number of effects
 
-    def told(fitted):
+    def told(fitted, *_):
         return replace(scores, chi2=error[len(fitted.problem.effects)] * scores.num_values)
 
     monkeypatch.setattr(judgement, "held_out", told)
@@ -58,14 +58,19 @@ def test_an_error_of_integration_that_is_nothing_beside_noise_is_not_named(tmp_p
     scores = held_out(base)
     count = scores.num_values * 1e5 / scores.num_values.sum()  # so many that either is beyond chance
 
-    def told(fitted):
-        error = misfit if fitted.problem.timestep is None else 1.0
+    def told(fitted, *_):
+        coarse = fitted.problem.timestep is None and fitted.problem.finer is None
+        error = misfit if coarse else 1.0
         return replace(scores, num_values=count, chi2=error * count)
 
     monkeypatch.setattr(judgement, "held_out", told)
     judged = judgement.judge(base, Explanation(base, base, (), 10, 1.0), Numerics(1e-3, "RK4", 100.0, finer))
     assert judged.verdict == verdict and (judged.numerics is None) == (verdict == "no_mismatch")
     assert judged.numerics_share == 1.0
+    # The believed model is told without that error, which psi would make up for.
+    held = judged.before.problem.finer is not None
+    assert held == (verdict == "no_mismatch")
+    assert not held or (judged.held_after.chi2 == count).all()
 
 
 def test_an_error_of_integration_is_sized_over_the_stretches_of_what_is_told(tmp_path, monkeypatch):
@@ -77,7 +82,7 @@ def test_an_error_of_integration_is_sized_over_the_stretches_of_what_is_told(tmp
     finer = fit(replace(cut_short, timestep=1e-3, integrator="RK4"))
     scores = held_out(base)
 
-    def told(fitted):
+    def told(fitted, *_):
         here = fitted.problem.segments.extent == base.problem.segments.extent
         return replace(scores, chi2=(100.0 if here and not fitted.problem.effects else 1.0) * scores.num_values)
 

@@ -12,7 +12,7 @@ from det2stoc_bayes.mismatch import numerics
 from det2stoc_bayes.mismatch.diagnose import diagnose
 from det2stoc_bayes.mismatch.evidence import log_evidence
 from det2stoc_bayes.mismatch.explain import Explanation
-from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics, comparable, corrected, held_error
+from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics, comparable, converging, corrected, held_error
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.statements import finer_step
 from det2stoc_bayes.optimize import fit_many
@@ -120,6 +120,21 @@ def test_the_error_of_steps_that_a_fit_is_rid_of_is_held_however_large(tmp_path)
     assert base.noise_inflation > 5 and held.noise_inflation == pytest.approx(found.fit.noise_inflation, abs=0.01)
     np.testing.assert_allclose(held.point.z, found.fit.point.z, atol=0.01 * np.sqrt(held.covariance[0, 0]))
     assert f"by RK4 at {found.timestep:g} s" in finer_step(held.problem)
+
+
+def test_a_step_that_does_not_converge_for_what_is_told_is_changed(tmp_path):
+    """It may have for the believed model, over shorter stretches."""
+    base = believed(tmp_path, COARSE)
+    step = {"timestep": 0.005, "integrator": "Euler"}
+    short = fit(replace(base.problem, **step))
+    better, told = converging(short, Numerics(*step.values(), 50.0, base))
+    assert (better.problem.timestep, better.problem.integrator) == (told.timestep, told.integrator)
+    assert told.integrator == "RK4" and (told.gain, told.fit) == (50.0, base)
+    fine = fit(replace(base.problem, timestep=0.001, integrator="RK4"))
+    off = [abs(f.point.z[0] - fine.point.z[0]) / np.sqrt(fine.covariance[0, 0]) for f in (short, better)]
+    assert off[1] < 0.1 < 3.0 < off[0]  # measured: 7.8 and 0.02
+    assert converging(better, told) == (better, told) and converging(better, None) == (better, None)
+    assert converging(base, None) == (base, None)  # the believed steps are asked for elsewhere
 
 
 def _looked_for(monkeypatch, base, first, better):

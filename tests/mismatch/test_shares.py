@@ -13,7 +13,7 @@ def scores(*chi2):
     """Recordings of 100 values with these squared errors."""
     count = len(chi2)
     names, nothing = tuple(f"run_{i}" for i in range(count)), np.zeros((count, 1))
-    return HeldOut(names, np.zeros(count), np.array(chi2, float), np.full(count, 100.0), nothing, nothing, {})
+    return HeldOut(names, None, np.zeros(count), np.array(chi2, float), np.full(count, 100.0), nothing, nothing, {})
 
 
 def test_shares_of_the_whole():
