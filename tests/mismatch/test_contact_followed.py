@@ -9,6 +9,7 @@ from conftest import make_study
 from sliding import PSI, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact import believed as believed_module
 from det2stoc_bayes.mismatch.contact import fit as fit_module
 from det2stoc_bayes.mismatch.contact import judge, run
 from det2stoc_bayes.mismatch.contact import pair as pair_module
@@ -18,13 +19,14 @@ from det2stoc_bayes.mismatch.contact.believed import (
     MEMBERS,
     REGARDS,
     believed,
+    finer,
     grounded,
     searched,
 )
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.differences import STEPS, columns_of, steady
 from det2stoc_bayes.mismatch.contact.evolution import PATIENCE, evolved
-from det2stoc_bayes.mismatch.contact.fit import _taught, at, fit_followed, newton
+from det2stoc_bayes.mismatch.contact.fit import ContactFit, _taught, at, fit_followed, newton
 from det2stoc_bayes.mismatch.contact.flow import Ground
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST, Followed
 from det2stoc_bayes.mismatch.contact.judge import corrected, judged
@@ -564,6 +566,51 @@ def test_the_regards_of_contact_that_are_told_best_are_fitted(problem, sliding):
     likeliest = min(each, key=lambda f: f.loss)
     clearest = min(each, key=lambda f: f.hearing(telling(likeliest)).loss)
     assert {way(f) for f in found} == {None, way(likeliest), way(clearest)}
+
+
+def steps_of(problem, monkeypatch, losses, grounded=None):
+    """Fits by steps 1, 2 and 4 times as short have these losses; led by ground that is found anew, `grounded`."""
+    step, asked = float(problem.simulator.model.opt.timestep), []
+
+    def told(followed, z, **_):
+        times = round(step / (followed.problem.timestep or step))
+        anew = followed.ground is not None and followed.ground.problem.timestep is not None
+        asked.append("anew" if anew else times)
+        one = ContactFit(followed, z, np.zeros(followed.shape), Scales(np.ones(followed.shape[-1])))
+        one.__dict__["losses"] = np.full(followed.count, (grounded if anew else losses[times]) / followed.count)
+        return one
+
+    monkeypatch.setattr(believed_module, "fit_followed", told)
+    return told, asked
+
+
+@pytest.mark.parametrize(
+    ("losses", "best", "asked"),
+    [
+        ({1: 10, 2: 8, 4: 5}, 4, [2, 4]),
+        ({1: 10, 2: 8, 4: 9}, 2, [2, 4]),
+        ({1: 10, 2: 11, 4: 5}, 1, [2]),
+    ],
+)
+def test_shorter_steps_are_tried_while_they_tell_better(problem, monkeypatch, losses, best, asked):
+    told, seen = steps_of(problem, monkeypatch, losses)
+    plain = told(Followed(problem), np.zeros(1))
+    del seen[:]
+    found = finer(plain)
+    assert seen == asked and found.losses.sum() == pytest.approx(losses[best])
+    assert (found is plain) is (best == 1)
+    if best == 2:  # what is by half the step already is asked for a quarter alone
+        del seen[:]
+        assert finer(found) is found and seen == [4]
+
+
+@pytest.mark.parametrize("grounded", [4.0, 9.0])
+def test_under_shorter_steps_what_contact_does_is_found_anew_if_that_tells_better(problem, monkeypatch, grounded):
+    told, asked = steps_of(problem, monkeypatch, {1: 10, 2: 8, 4: 9}, grounded)
+    followed = Followed(problem)
+    found = finer(told(followed.grounded(Ground(problem, np.zeros(1), True, 0.1)), np.zeros(1)))
+    assert asked == [1, 2, 4, "anew"] and found.losses.sum() == pytest.approx(min(grounded, 8))
+    assert (found.followed.ground.holds, found.followed.ground.share) == (True, 0.1)
 
 
 @pytest.mark.parametrize("room", [0.1, 0.16, 0.3])

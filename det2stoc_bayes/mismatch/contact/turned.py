@@ -26,7 +26,11 @@ def best_turned(fit: ContactFit, settled: float) -> ContactFit:
     ways = np.tile(fit.z, (len(FLIPS), 1))
     ways[:, here] = (FLIPS * (axes @ fit.z[here])) @ axes
     begun = sorted(fits_at(fit.followed, ways), key=lambda f: f.loss)[:NUM_TURNED]
-    return min([fit, *(fit_followed(f.followed, f.z, like=fit, settled=settled) for f in begun)], key=lambda f: f.loss)
+
+    def fitted(one: ContactFit) -> ContactFit:
+        return fit_followed(one.followed, one.z, like=fit, settled=settled, needed=max(one.loss - fit.loss, 0.0))
+
+    return min([fit, *map(fitted, begun)], key=lambda f: f.loss)
 
 
 def _vector(fit: ContactFit) -> int | None:
