@@ -13,9 +13,11 @@ from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact import rattle
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.mismatch.contact.judge import classes
 from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.replicas import moved_freely
 from det2stoc_bayes.mismatch.contact.screen import Promise
+from det2stoc_bayes.mismatch.contact.search import Round
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 
@@ -90,6 +92,20 @@ def test_who_promises_half_as_much_with_no_more_parameters_is_a_rival(followed, 
     assert names(screened) == []
 
 
+def test_who_is_surely_likelier_takes_the_leaders_place(followed, pool):
+    base = at(followed, np.zeros(1))
+    leader, near, far = (Pair(told(followed, pool[n], 0.1), base) for n in ("linear_drag", "buoyancy", "gravity_error"))
+    unsure = (rattle.Rival(near, 1.0), rattle.Rival(far, -3.0))
+    assert rattle.likelier(leader, unsure) == (leader, unsure) and rattle.likelier(leader, ()) == (leader, ())
+    first, others = rattle.likelier(leader, (rattle.Rival(near, 2.0), rattle.Rival(far, -3.0)))
+    assert first is near and [(r.pair, r.log_odds) for r in others] == [(leader, -2.0), (far, -5.0)]
+    screened = Round(Pair(base, base), (), (near, leader, far), near, 2.0, others)
+    ranked = classes(screened, np.random.default_rng(0))
+    odds = np.exp([0.0, -2.0, -5.0])
+    assert [c.members for c in ranked] == [(near,), (leader,), (far,)]
+    np.testing.assert_allclose([c.chance for c in ranked], odds / odds.sum())
+
+
 def test_simulations_rattle_where_a_column_has_no_say(followed):
     assert rattle.rattles(at(followed, np.zeros(1)))
     assert not rattle.rattles(at(followed.hearing(np.ones(13, bool)), np.zeros(1)))
@@ -102,8 +118,13 @@ def test_a_lead_that_a_rivals_own_recordings_give_is_no_proof(followed, pool, mo
     own, others = (rattle.made_by(fit, 0) for fit in (leader, rival))
     leads = dict(zip([id(m.problem) for m in (*own, *others)], [162.0, 131.0, 198.0, 50.0, 110.0, 55.0], strict=True))
 
+    asked = []
+
     def odds_at(observed):
+        del asked[:]
+
         def behind(fit, followed, luck):
+            asked.append(fit is rival)
             return SimpleNamespace(loss=leads.get(id(followed.problem), observed) if fit is rival else 0.0)
 
         monkeypatch.setattr(rattle, "refitted", behind)
@@ -111,7 +132,10 @@ def test_a_lead_that_a_rivals_own_recordings_give_is_no_proof(followed, pool, mo
 
     assert 0.7 < odds_at(101.3) < 1.1  # for the rival
     assert odds_at(118.0) == pytest.approx(0.0, abs=0.15)  # halfway between
-    assert odds_at(190.0) < -2 and odds_at(40.0) > 2
+    assert odds_at(190.0) < -2 and odds_at(40.0) > 2 and sum(asked) == 1 + 2 * rattle.NUM_MADE
+    leads |= dict.fromkeys(list(leads)[:3], 1000.0)
+    assert odds_at(1000.0) < -rattle.CLEAR and sum(asked) == 1 + 2 * rattle.FEW
+    assert odds_at(400.0) > -rattle.CLEAR and sum(asked) == 1 + 2 * rattle.NUM_MADE
 
 
 def test_where_what_nothing_leads_diverges_the_lead_alone_is_asked(followed, pool, monkeypatch):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
 from det2stoc_bayes.mismatch.contact.chances import alike, as_the_best
@@ -20,10 +21,12 @@ from det2stoc_bayes.mismatch.contact.pair import SKETCH, Pair, finished, next_to
 from det2stoc_bayes.mismatch.contact.replicas import moved_freely
 from det2stoc_bayes.mismatch.contact.screen import Promise
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
+from det2stoc_bayes.mismatch.finding import SURE
 
 PROMISED = 0.5  # of what the leader promises: who promises less is no rival,
 MOST_RIVALS = 3  # nor who comes after so many
-NUM_MADE = 3  # sets of recordings that each hypothesis makes
+NUM_MADE = 3  # sets of recordings that each hypothesis makes,
+FEW, CLEAR = 2, 7.0  # and so many of them where these give such odds (log): by a Student-t of 2 degrees of freedom
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +84,18 @@ def rivals(
     return tuple(weighed)
 
 
+def likelier(leader: Pair, weighed: Sequence[Rival]) -> tuple[Pair, tuple[Rival, ...]]:
+    """Who is surely likelier than the leader in its place, and all others' odds against that; as they are without one.
+
+    What has more parameters may be ahead by what noise gives it, as an attraction from far off beside a tilt.
+    """
+    first = max(weighed, key=lambda r: r.log_odds, default=None)
+    if first is None or first.log_odds < np.log(SURE / (1 - SURE)):
+        return leader, tuple(weighed)
+    others = [(r.pair, r.log_odds) for r in weighed if r is not first]
+    return first.pair, tuple(Rival(p, odds - first.log_odds) for p, odds in ((leader, 0.0), *others))
+
+
 def made_by(fit: ContactFit, seed: int) -> list[Followed]:
     """Sets of recordings that a hypothesis makes; none where its simulations diverge when nothing leads them."""
     made = [moved_freely(fit, np.random.default_rng([seed, 13, k])) for k in range(NUM_MADE)]
@@ -104,14 +119,28 @@ def log_odds(
     leader.prepare()
     rival.prepare()
     alone = alone or partial(refitted, leader, luck=luck)
-    each = [*by_leader, *by_rival] if by_leader and by_rival else []
-    told = [leader.followed, *(m.remembering(leader.followed.memory) for m in each)]
-    there, *leads = side_by_side(leader.problem, lambda f: refitted(rival, f, luck).loss - alone(f).loss, told)
-    if not leads:
-        return -there
-    of_each = np.array(leads).reshape(2, -1)
-    scale = max(float(np.sqrt(of_each.var(1, ddof=1).mean())), luck) * np.sqrt(1 + 1 / NUM_MADE)
-    by_first, by_second = stats.t.logpdf(there, 2 * (NUM_MADE - 1), of_each.mean(1), scale)
+    memory = leader.followed.memory
+
+    def leads(told: Sequence[Followed]) -> list[float]:
+        return side_by_side(leader.problem, lambda f: refitted(rival, f, luck).loss - alone(f).loss, told)
+
+    def on(some: slice) -> list[Followed]:
+        return [m.remembering(memory) for made in (by_leader, by_rival) for m in made[some]]
+
+    if not (by_leader and by_rival):
+        return -leads([leader.followed])[0]
+    there, *few = leads([leader.followed, *on(slice(FEW))])
+    of_each = np.reshape(few, (2, -1))
+    if abs(odds := _odds(there, of_each, luck)) >= CLEAR:
+        return odds
+    return _odds(there, np.hstack([of_each, np.reshape(leads(on(slice(FEW, None))), (2, -1))]), luck)
+
+
+def _odds(there: float, of_each: Float[np.ndarray, "two made"], luck: float) -> float:
+    """Log odds of what made the second row for a lead `there`, against what made the first one."""
+    count = of_each.shape[1]
+    scale = max(float(np.sqrt(of_each.var(1, ddof=1).mean())), luck) * np.sqrt(1 + 1 / count)
+    by_first, by_second = stats.t.logpdf(there, 2 * (count - 1), of_each.mean(1), scale)
     return float(by_second - by_first)
 
 

@@ -21,7 +21,7 @@ from det2stoc_bayes.mismatch.contact.pair import (
     without_last,
 )
 from det2stoc_bayes.mismatch.contact.polish import BUMPY, polished
-from det2stoc_bayes.mismatch.contact.rattle import Rival, rattles, rivals
+from det2stoc_bayes.mismatch.contact.rattle import Rival, likelier, rattles, rivals
 from det2stoc_bayes.mismatch.contact.replicas import replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise, promising_more, screen, some
@@ -108,8 +108,11 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     if taken is None or not rattles(base.fit):
         return Round(base, tuple(screened), tuple(found), taken, luck)
     weighed = rivals(taken, found, there, latest, luck, seed, progress)
-    tried = best_of_each([*found, *(r.pair for r in weighed)])
-    return Round(base, tuple(screened), tuple(tried), taken, luck, weighed)
+    first, others = likelier(taken, weighed)
+    if first is not taken and earns(base, first, needed, chance):
+        taken, weighed = first, others
+    tried = best_of_each([p for p in (*found, *(r.pair for r in weighed)) if p.placed != taken.placed])
+    return Round(base, tuple(screened), tuple(sorted([taken, *tried], key=lambda p: p.height)), taken, luck, weighed)
 
 
 def beyond_bumps(pair: Pair, luck: float) -> Pair:

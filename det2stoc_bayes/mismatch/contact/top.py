@@ -18,6 +18,7 @@ FAR = 2.0  # sds about the fit, at least
 EACH, LEAST = 8, 40  # points for each unknown, and at least
 ROUGHLY = 0.6  # of these where only the height of bumps is asked for
 ROUNDS = 2
+STILL, ALIKE = 0.5, 0.5  # sds that a round leads, and of the sharpness before: by less, or to more, it is the last
 FARTHEST = 3.0  # sds that a round may lead
 LUCKY = 3.0  # times the bumps: what is told so much worse is not the top
 BLUNTEST = 0.05  # each way, of what the round before says
@@ -40,7 +41,10 @@ def topped(fit: ContactFit, random: np.random.Generator) -> ContactFit:
         there = there if there.loss < fit.loss + LUCKY * q.bumps else fit
         fit = replace(there, sizes=fit.steps, rough=ways @ apart @ ways.T)
         sharp = np.minimum(q.sharp, wider)  # no top is called sharper than sensitivities have it
+        led = float(np.linalg.norm(np.sqrt(q.sharp) * step))
         wider, ways = wider / sharp, ways / np.sqrt(sharp)
+        if led < STILL and sharp.min() > ALIKE:
+            break
     return replace(fit, flat=_stretched(ways, wider))
 
 
