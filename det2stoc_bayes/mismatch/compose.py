@@ -17,7 +17,7 @@ from det2stoc_bayes.mismatch.judgement import Judgement, Named
 from det2stoc_bayes.mismatch.mirrors import mirrored
 from det2stoc_bayes.mismatch.other_psi import other_psi, others_beyond, over_equivalents
 from det2stoc_bayes.mismatch.race import Ranked
-from det2stoc_bayes.mismatch.refit import swap
+from det2stoc_bayes.mismatch.refit import posed_alike, swap
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element, excess_beyond_chance
 from det2stoc_bayes.mismatch.statements import (
     alternatives,
@@ -127,12 +127,12 @@ class Composer:
         return tuple({n: q for n, q in t.items() if isinstance(q, finding.Quantity) and q != told[n]} for t in tops)
 
     def _drawn(self, member: Ranked, place: int) -> tuple[Fit, Float[np.ndarray, "draws size"]]:
-        """A member's posterior over the stretches of what is told: the belief's own, or draws about its fit there."""
+        """A member's posterior as what is told has it: the belief's own, or draws about its fit there."""
         judged, belief = self.judged, self.credence.after
         if member.placed in judged.after.problem.effects:
             return belief.fit, belief.z
         fit = member.fit
-        if fit.problem.segments.extent != judged.after.problem.segments.extent:
+        if not posed_alike(fit, judged.after):
             longer = swap(judged.after, place, member)
             fit = longer if member.placed in longer.problem.effects else fit
         return fit, draws(fit, judged.share, self.seed)

@@ -215,7 +215,7 @@ def _arrays(judged: Judgement, composer: Composer) -> result.DataTree:
         held = judged.held_before.rollouts, judged.held_after.rollouts
         runs |= result.rollouts(before, *held, study.holdout, "holdout", composer.when)
     groups |= {f"rollouts/{name}": data for name, data in runs.items()}
-    groups |= replay(before.problem.simulator, runs, states_of(before, after))
+    groups |= replay(before.problem.simulator, runs, states_of(before, after, judged.held_before.samples))
     chance = {m.placed.label: c.probability for place in judged.places[:1] for c in place for m in c.alike}
     groups["screening"] = result.screening(judged.found.slots[0], chance)
     return result.DataTree.from_dict(groups)

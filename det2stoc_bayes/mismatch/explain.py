@@ -204,10 +204,11 @@ def _without_useless(
     if not grown.problem.effects or not misses(grown):
         return grown, lean, useless
     bare = bare_fit(before, grown)
+    follows = bare.problem.segments.extent == grown.problem.segments.extent
     believed = untold(bare)
     while effects := grown.problem.effects:
         one, whole = len(effects) == 1, untold(grown)
-        rest: dict[PlacedEffect, Fit | None] = dict.fromkeys(effects, bare)
+        rest: dict[PlacedEffect, Fit | None] = dict.fromkeys(effects, bare if follows else None)
         if not one:
             rest = lean | _leaner(grown, [e for e in effects if e not in lean])
         told = {e: 1.0 if f is None else (untold(f) - whole) / believed for e, f in rest.items()}

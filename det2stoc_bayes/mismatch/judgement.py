@@ -87,6 +87,8 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
         after = swap(after, i, _class_of(places[i], placed).members[0])
     if after.problem.effects:
         before, after, numerics = _as_far_as_it_goes(before, corrected(after), numerics)
+    elif numerics is not None:
+        after, numerics = converging(after, numerics)
     pair = before, after
 
     def scored(fit: Fit) -> HeldOut:
@@ -105,13 +107,17 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
         gone = held_before.chi2.sum() - finer.chi2.sum()
         little = gone < NEGLIGIBLE * held_before.num_values.sum()  # beside noise: every step errs a little
         if share < NEGLIGIBLE or little:
-            numerics, after = None, held_error(after, numerics)
+            numerics, after = None, held_error(after)
             whole = scored(after)
+    plain = held_before
+    if after.problem.effects and after.problem.finer is not None:  # what its steps err is no merit of an effect
+        alone = refit(after, ())
+        plain = plain if alone is None else scored(alone)
 
     def bare(fit: Fit, i: int) -> HeldOut | None:
         """Scores without effect i; without a single one the believed model stands."""
         if len(fit.problem.effects) == 1 and numerics is None:
-            return held_before
+            return plain
         lean = _lean(found, fit, i)
         return None if lean is None else scored(lean)
 
@@ -125,7 +131,7 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
         else:
             named.append(one)
     if named and numerics is None:
-        together = share_explained(held_before, held_before, whole)
+        together = share_explained(held_before, plain, whole)
         if together < NEGLIGIBLE and not _beyond_noise(after, together, held_before):  # each needs the other in vain
             negligible, named = [*negligible, *((n.placed, together) for n in named)], []
     for placed, _ in negligible:
@@ -136,9 +142,10 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
         named = [replace(n, bare=bare(after, kept.index(n.placed))).scored(held_before, whole) for n in named]
     if not named and numerics is None:
         verdict = "no_mismatch"
-        if after.problem.finer is not None and not after.problem.effects:  # psi would make up for the error it holds
-            before, held_before = after, scored(after)
-        after = before
+        held = after.problem.finer is not None and not after.problem.effects
+        if held and scored(after).chi2.sum() <= held_before.chi2.sum():  # psi would make up for the error it holds
+            before = after
+        after, held_before = before, held_out(before)
     else:
         verdict = "mismatch" if all(n.chosen.probability >= SURE for n in named) else "inconclusive"
     held_after = held_before if after is before else whole if named else scored(after)
@@ -163,14 +170,16 @@ def judge(before: Fit, found: Explanation, numerics: Numerics | None) -> Judgeme
 def _as_far_as_it_goes(before: Fit, after: Fit, numerics: Numerics | None) -> tuple[Fit, Fit, Numerics | None]:
     """An explanation at the longest horizon that it serves, and the believed model there; as they are if it fails.
 
-    Steps that converged for the believed model need not for what is told.
+    Steps that converged for the believed model need not for what is told; where they are no finding, their error is
+    held.
     """
     longer = extend(after, far=True)
     bare = None if longer is after else refit(longer, ())
     if bare is not None:
-        before, after = bare if numerics is None else by_steps(bare, None, None) or bare, corrected(longer)
+        before = bare if bare.problem.timestep is None else by_steps(bare, None, None) or bare
+        after = corrected(longer)
     after, numerics = converging(after, numerics)
-    return before, after, numerics
+    return before, held_error(after) if numerics is None else after, numerics
 
 
 def _spoils(after: Fit, before: HeldOut, later: HeldOut) -> bool:

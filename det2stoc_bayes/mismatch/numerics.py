@@ -1,6 +1,6 @@
 """Whether the believed timestep is fine enough for what it is asked to predict."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,9 +20,9 @@ NEGLIGIBLE = 4.0  # whitened squared change of all samples that no evidence coul
 
 @dataclass(frozen=True, eq=False)
 class Numerics:
-    """A timestep and integrator that converge, what they gain in evidence, and the fit under them.
+    """A timestep and integrator that converge, what they gain in evidence, and the believed model's fit under them.
 
-    Where they were found beside effects that is the gain there, and the believed model's fit without these.
+    Where they were found beside effects the gain is that there.
     """
 
     timestep: float
@@ -59,18 +59,23 @@ def of_believed(found: Numerics, believed: Fit) -> Numerics | None:
 def converging(fit: Fit, numerics: Numerics | None) -> tuple[Fit, Numerics | None]:
     """A fit at a finer step, and what is told of that, by steps that converge for this very fit over its stretches."""
     step = fit.problem.timestep
-    found = None if step is None else _converged(fit, step)
+    found = None if step is None else _converged(fit, step, _moved)
     better = None if found is None else by_steps(fit, found[0], found[1])
     if found is None or better is None:
         return fit, numerics
-    return better, None if numerics is None else replace(numerics, timestep=found[0], integrator=found[1])
+    if numerics is not None:
+        plain = by_steps(numerics.fit, found[0], found[1]) or numerics.fit
+        numerics = replace(numerics, timestep=found[0], integrator=found[1], fit=plain)
+    return better, numerics
 
 
-def held_error(fit: Fit, numerics: Numerics) -> Fit:
+def held_error(fit: Fit) -> Fit:
     """A fit at a finer step as one at the believed step, whose error is held as it is there."""
-    plain = _at(fit, None, None)
+    plain, own = _at(fit, None, None), fit.problem
+    if own.timestep is None or own.integrator is None:
+        return fit
     here = plain.simulator.rollout(plain.request(fit.point.z[None], fit.point.start))
-    shifted = replace(plain, finer=Finer(numerics.timestep, numerics.integrator, _predicted(fit) - here))
+    shifted = replace(plain, finer=Finer(own.timestep, own.integrator, _predicted(fit) - here))
     return fit_many([(shifted, fit.point)], tolerance=0.3)[0] or fit
 
 
@@ -118,10 +123,15 @@ def _without_error(fits: Sequence[Fit]) -> list[Fit]:
     return [better.get(i) or f for i, f in enumerate(fits)]
 
 
-def _converged(fit: Fit, timestep: float) -> tuple[float, str, Float[np.ndarray, "segments samples columns"]] | None:
-    """The coarsest step by RK4 that predicts as the finest, and what it adds; None where it hardly differs."""
+def _converged(
+    fit: Fit, timestep: float, size: Callable[[Fit, np.ndarray, np.ndarray], float] | None = None
+) -> tuple[float, str, Float[np.ndarray, "segments samples columns"]] | None:
+    """The coarsest step by RK4 that predicts as the finest, and what it adds; None where it hardly differs by `size`.
+
+    That is by default what evidence could come from.
+    """
     here, there = _predicted(fit), _predicted(fit, timestep / FINE, "RK4")
-    if _change(fit, here, there) < NEGLIGIBLE:
+    if (size or _change)(fit, here, there) < NEGLIGIBLE:
         return None
     for ratio in RATIOS:
         coarser = there if ratio == FINE else _predicted(fit, timestep / ratio, "RK4")
@@ -148,6 +158,8 @@ def _change(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
 
 def _moved(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
     """The same that unknowns may absorb, who are then as many sds off as its root at most."""
+    if not (np.isfinite(here).all() and np.isfinite(there).all()):
+        return 0.0
     return float((_difference(fit, here, there) ** 2).sum())
 
 

@@ -47,7 +47,7 @@ def swap(fit: Fit, i: int, other: Ranked) -> Fit:
     if effects[i] == other.placed:
         return fit
     here, there = fit.problem.segments, other.fit.problem.segments
-    if len(effects) == 1 and here.extent == there.extent:
+    if len(effects) == 1 and posed_alike(fit, other.fit):
         return other.fit
     if here.extent == there.extent and {*effects[:i], other.placed, *effects[i + 1 :]} == {*other.fit.problem.effects}:
         effects[i] = other.placed
@@ -60,6 +60,13 @@ def swap(fit: Fit, i: int, other: Ranked) -> Fit:
     z = np.concatenate([kept.z[:cut_at], own, kept.z[cut_at:]])
     found = fit_many([(fit.problem.with_effects(effects), Point(z, fit.point.start))], tolerance=tolerance(fit))[0]
     return fit if found is None else found
+
+
+def posed_alike(fit: Fit, other: Fit) -> bool:
+    """Whether both are of the same stretches, integrated alike."""
+    a, b = fit.problem, other.problem
+    steps = (a.timestep, a.integrator) == (b.timestep, b.integrator) and a.finer is b.finer
+    return steps and a.segments.extent == b.segments.extent
 
 
 def reordered(fit: Fit, i: int) -> Fit:

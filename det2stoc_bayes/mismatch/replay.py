@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.engines.shapes import Shape, moving_bodies, poses, shapes
 from det2stoc_bayes.engines.state_columns import state_columns
-from det2stoc_bayes.mismatch.heldout import horizon_samples, predicted_states
+from det2stoc_bayes.mismatch.heldout import predicted_states
 from det2stoc_bayes.mismatch.result import fitted_states
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.simulator import Simulator
@@ -53,14 +53,13 @@ def replay(simulator: Simulator, rollouts: Mapping[str, xr.Dataset], predicted: 
     return {"replay/shapes": _shapes(seen, names), "replay/meshes": _meshes(seen)} | groups
 
 
-def states_of(before: Fit, after: Fit) -> Predicted:
-    """The states that two fits predict of fitted and held-out recordings."""
+def states_of(before: Fit, after: Fit, samples: int | None) -> Predicted:
+    """The states that two fits predict of fitted and held-out recordings, of these in rollouts of so many samples."""
 
     def predicted(stems: Sequence[str]) -> Mapping[str, States]:
         study = before.problem.simulator.study
         held = tuple(r for r in study.holdout if r.name in stems)
         fits = {"before": before} | ({} if after is before else {"after": after})
-        samples = horizon_samples(before, after)
         return {which: fitted_states(fit) | predicted_states(fit, held, samples) for which, fit in fits.items()}
 
     return predicted

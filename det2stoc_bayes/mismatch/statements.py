@@ -129,7 +129,7 @@ def finer_step(problem: Problem) -> str:
         return ""
     return (
         f"The corrected simulator integrates by {finer.integrator} at {finer.timestep:g} s: "
-        "the error of the believed step is little, but it would show."
+        "the error of the believed step would show."
     )
 
 

@@ -10,10 +10,9 @@ from conftest import make_study
 from sliding import PSI, SLIDING, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
-from det2stoc_bayes.mismatch.contact import rattle
+from det2stoc_bayes.mismatch.contact import judge, rattle
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
-from det2stoc_bayes.mismatch.contact.judge import classes
 from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.replicas import moved_freely
 from det2stoc_bayes.mismatch.contact.screen import Promise
@@ -92,18 +91,20 @@ def test_who_promises_half_as_much_with_no_more_parameters_is_a_rival(followed, 
     assert names(screened) == []
 
 
-def test_who_is_surely_likelier_takes_the_leaders_place(followed, pool):
+def test_who_is_surely_likelier_takes_the_leaders_place(followed, pool, monkeypatch):
     base = at(followed, np.zeros(1))
     leader, near, far = (Pair(told(followed, pool[n], 0.1), base) for n in ("linear_drag", "buoyancy", "gravity_error"))
     unsure = (rattle.Rival(near, 1.0), rattle.Rival(far, -3.0))
-    assert rattle.likelier(leader, unsure) == (leader, unsure) and rattle.likelier(leader, ()) == (leader, ())
-    first, others = rattle.likelier(leader, (rattle.Rival(near, 2.0), rattle.Rival(far, -3.0)))
-    assert first is near and [(r.pair, r.log_odds) for r in others] == [(leader, -2.0), (far, -5.0)]
-    screened = Round(Pair(base, base), (), (near, leader, far), near, 2.0, others)
-    ranked = classes(screened, np.random.default_rng(0))
-    odds = np.exp([0.0, -2.0, -5.0])
-    assert [c.members for c in ranked] == [(near,), (leader,), (far,)]
-    np.testing.assert_allclose([c.chance for c in ranked], odds / odds.sum())
+    assert rattle.likelier(unsure) is None and rattle.likelier(()) is None
+    sure = (rattle.Rival(near, 2.0), rattle.Rival(far, -3.0))
+    assert rattle.likelier(sure) is near
+    between = Pair(told(followed, pool["sensor_bias"], 0.1), base)  # by height, and never weighed
+    monkeypatch.setattr(judge, "chances", lambda told, *_: np.array([float(p is leader) for p in told]))
+    one = Round(Pair(base, base), (), (leader, between, near, far), near, 2.0, sure, leader)
+    ranked = judge.classes(one, np.random.default_rng(0))
+    odds = np.exp([2.0, 0.0, -3.0])
+    assert [c.members for c in ranked] == [(near,), (leader,), (far,), (between,)]
+    np.testing.assert_allclose([c.chance for c in ranked[:3]], odds / odds.sum(), atol=1e-6)
 
 
 def test_simulations_rattle_where_a_column_has_no_say(followed):

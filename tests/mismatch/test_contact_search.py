@@ -160,6 +160,13 @@ def test_what_a_rivals_own_recordings_would_say_leaves_a_lead_no_name(followed, 
     first, second = classes(one, np.random.default_rng(0))
     assert first.members == (right,) and second.members == (wrong,)
     assert second.chance / first.chance == pytest.approx(np.exp(log_odds), rel=1e-6)
+    monkeypatch.setattr(search, "rivals", lambda *_: (rattle.Rival(wrong, 3.0),))
+    for earns in (True, False):  # what is surely likelier must have earned its place as well
+        monkeypatch.setattr(search, "earns", lambda _, more, *__, earns=earns: earns or more is right)
+        one = search.look(base, pool, quiet)
+        assert one.taken is (wrong if earns else right) and one.leader is (right if earns else None)
+        first, second = classes(one, np.random.default_rng(0))
+        assert first.members == ((wrong,) if earns else (right,)) and first.chance > 0.9 - 0.89 * (not earns)
     monkeypatch.setattr(search, "rattles", lambda _: False)
     assert search.look(base, pool, quiet).rivals == ()
 

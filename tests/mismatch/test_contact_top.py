@@ -5,6 +5,7 @@ from functools import cached_property
 import numpy as np
 import pytest
 
+from det2stoc_bayes.mismatch.contact import top
 from det2stoc_bayes.mismatch.contact.converged import no_surer_than_steps
 from det2stoc_bayes.mismatch.contact.differences import columns_of
 from det2stoc_bayes.mismatch.contact.fit import at
@@ -67,6 +68,15 @@ def test_where_nothing_is_rough_the_top_stays():
     assert found.flat is not None and found.rough is not None
     assert (np.linalg.svd(found.flat)[1] > 1 / 0.9).all() and (np.linalg.svd(found.flat)[1] < 1 / 0.65).all()
     assert (np.sqrt(np.diag(found.rough)) < 0.1 * sd).all()
+
+
+@pytest.mark.parametrize(("off", "rounds"), [(0.0, 1), (2.0, 2)])
+def test_a_top_that_stays_is_looked_for_once(monkeypatch, off, rounds):
+    asked, quadratic = [], top._quadratic
+    monkeypatch.setattr(top, "_quadratic", lambda *given: asked.append(given) or quadratic(*given))
+    fit = smooth_top(0)
+    topped(at(fit.followed, fit.z + off * np.sqrt(np.diag(fit.covariance))), np.random.default_rng(1))
+    assert len(asked) == rounds + 1  # and once for the height of bumps
 
 
 def test_from_a_bump_the_top_is_reached_and_its_uncertainty_told():

@@ -6,6 +6,7 @@ from conftest import make_study
 from sliding import PSI, SLIDING, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact import turned
 from det2stoc_bayes.mismatch.contact.fit import at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.replicas import moved_freely
@@ -43,10 +44,22 @@ def turning(followed):
 @pytest.mark.parametrize("flips", [(1, -1, 1), (1, 1, -1), (-1, -1, 1)])
 def test_a_mirrored_rate_is_turned_back(turning, flips):
     mirrored = at(turning.followed, turning.z * [1.0, *flips])
-    turned, begun = best_turned(mirrored, SETTLED), fit_followed(mirrored.followed, mirrored.z)
+    back, begun = best_turned(mirrored, SETTLED), fit_followed(mirrored.followed, mirrored.z)
     # measured: 273, 277 and 277 where 277 is the truth's, for 279, 284 and 279 of a fit from the mirrored rate
-    assert turned.loss < min(turning.loss + 2, begun.loss)
-    assert (turned.z[1:] * turning.z[1:] > 0).all()
+    assert back.loss < min(turning.loss + 2, begun.loss)
+    assert (back.z[1:] * turning.z[1:] > 0).all()
+
+
+def test_what_is_far_behind_is_turned_no_further(turning, monkeypatch):
+    """A step from there promises a small part of what it is behind by."""
+    asked = []
+
+    def followed(*given, needed, **options):
+        asked.append(needed)
+        return fit_followed(*given, needed=needed, **options)
+
+    monkeypatch.setattr(turned, "fit_followed", followed)
+    assert best_turned(turning, SETTLED) is turning and len(asked) == turned.NUM_TURNED and min(asked) > 0
 
 
 def test_what_is_told_best_stays(turning):

@@ -61,7 +61,7 @@ def test_sensors_alone_give_the_simulators_alone(tmp_path) -> None:
         return {n: (t, {"sensor/tip/0": -0.25 * np.sin(c["qpos/pivot"])}) for n, (t, c) in of.items()}
 
     before, runs = _diagnosed(tmp_path / "study", tips(made), tips(held), '[noise]\n"sensor/*" = 1e-3\n')
-    groups = replay(before.problem.simulator, runs, states_of(before, before))
+    groups = replay(before.problem.simulator, runs, states_of(before, before, None))
     for name, rollout in runs.items():
         motion = groups[f"replay/motions/{name}"]
         assert set(motion.data_vars) == {"before"}

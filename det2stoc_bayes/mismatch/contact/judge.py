@@ -129,9 +129,10 @@ def topped_pair(pair: Pair, seed: int) -> Pair:
 def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
     """What could stand in a place, in classes that no sample tells apart, most probable first; the one taken leads.
 
-    Rivals that likelihood does not tell from what was taken have their odds against its class.
+    Rivals that likelihood does not tell from the likeliest have their odds against its class.
     """
     odds = {r.pair.placed: float(np.exp(min(r.log_odds, MOST_ODDS))) for r in one.rivals}
+    leader = one.leader or one.taken
     told = [p for p in one.refined if p.placed not in odds]
     chance = dict(zip((p.placed for p in told), chances(told, random, one.luck), strict=True))
     ranked = sorted(told, key=lambda p: -chance[p.placed])
@@ -142,7 +143,7 @@ def classes(one: Round, random: np.random.Generator) -> tuple[Class, ...]:
         ranked = [p for p in ranked if p not in mine]
         groups.append(mine)
     each = np.array([sum(chance.get(p.placed, 0.0) for p in mine) for mine in groups])
-    lead = sum(c for c, mine in zip(each, groups, strict=True) if one.taken in mine)
+    lead = sum(c for c, mine in zip(each, groups, strict=True) if leader in mine)
     each = np.maximum(each, [lead * max(odds.get(p.placed, 0.0) for p in mine) for mine in groups])
     found = [Class(_simplest(mine), c) for mine, c in zip(groups, (each / each.sum()).tolist(), strict=True)]
     found.sort(key=lambda c: (one.taken not in c.members, -c.chance))

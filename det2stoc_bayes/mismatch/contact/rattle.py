@@ -84,16 +84,13 @@ def rivals(
     return tuple(weighed)
 
 
-def likelier(leader: Pair, weighed: Sequence[Rival]) -> tuple[Pair, tuple[Rival, ...]]:
-    """Who is surely likelier than the leader in its place, and all others' odds against that; as they are without one.
+def likelier(weighed: Sequence[Rival]) -> Pair | None:
+    """Who is surely likelier than the leader; None without one.
 
     What has more parameters may be ahead by what noise gives it, as an attraction from far off beside a tilt.
     """
     first = max(weighed, key=lambda r: r.log_odds, default=None)
-    if first is None or first.log_odds < np.log(SURE / (1 - SURE)):
-        return leader, tuple(weighed)
-    others = [(r.pair, r.log_odds) for r in weighed if r is not first]
-    return first.pair, tuple(Rival(p, odds - first.log_odds) for p, odds in ((leader, 0.0), *others))
+    return None if first is None or first.log_odds < np.log(SURE / (1 - SURE)) else first.pair
 
 
 def made_by(fit: ContactFit, seed: int) -> list[Followed]:
@@ -113,8 +110,9 @@ def log_odds(
 ) -> float:
     """Of a rival against its leader, by how far that leads on what was recorded and on what either of them made.
 
-    Of few leads a predictive Student-t; they scatter by bumps, whose height (nats) is `luck`, at least. Where one of
-    them makes no recordings the lead itself is all there is. `alone` fits the leader, and may know what it has fitted.
+    Of few leads a predictive Student-t; they scatter by bumps, whose height (nats) is `luck`, at least. FEW are found
+    first, all if these leave it open. Where one of them makes no recordings the lead itself is all there is. `alone`
+    fits the leader, and may know what it has fitted.
     """
     leader.prepare()
     rival.prepare()

@@ -61,14 +61,16 @@ class Round:
     refined: tuple[Pair, ...]
     taken: Pair | None
     luck: float = LUCK  # nats by which fits of the same hypothesis differ
-    rivals: tuple[Rival, ...] = ()  # of what was taken, which likelihood alone does not tell from it
+    rivals: tuple[Rival, ...] = ()  # of the likeliest, which likelihood alone does not tell from it
+    leader: Pair | None = None  # that likeliest one, where a rival was taken in its place
 
 
 def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int = 0) -> Round:
     """Screen all, fit the few best, and take the best if recordings that were not fitted ask for it.
 
     The base goes beyond its bumps first, and to where its best addition leads it: neither is an addition's merit. A
-    leader's rivals are looked for once more where it ended, for psi is another there.
+    leader's rivals are looked for once more where it ended, for psi is another there. Where simulations rattle, who
+    is surely likelier by recordings of its own is taken in its place.
     """
     others = [p for p in pool if p not in base.fit.problem.effects]
     progress("measuring bumps", 0, 1)
@@ -108,11 +110,12 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
     if taken is None or not rattles(base.fit):
         return Round(base, tuple(screened), tuple(found), taken, luck)
     weighed = rivals(taken, found, there, latest, luck, seed, progress)
-    first, others = likelier(taken, weighed)
-    if first is not taken and earns(base, first, needed, chance):
-        taken, weighed = first, others
-    tried = best_of_each([p for p in (*found, *(r.pair for r in weighed)) if p.placed != taken.placed])
-    return Round(base, tuple(screened), tuple(sorted([taken, *tried], key=lambda p: p.height)), taken, luck, weighed)
+    leader, tried = None, best_of_each([*found, *(r.pair for r in weighed)])
+    if (first := likelier(weighed)) is not None:
+        known = partial(gain_by_chance, base, [p.placed for p in tried], seed, progress, luck)
+        leader, taken = (taken, first) if earns(base, first, needed, known) else (leader, taken)
+    tried = [taken if p.placed == taken.placed else p for p in tried]
+    return Round(base, tuple(screened), tuple(tried), taken, luck, weighed, leader)
 
 
 def beyond_bumps(pair: Pair, luck: float) -> Pair:
