@@ -32,6 +32,7 @@ IMITATORS = (
     # losses in proportion to speed, and its square
     "viscous_damping linear_drag torque_speed_limit actuator_lag",
     "viscous_contact_friction linear_drag",
+    "anisotropic_friction friction_error",
     "quadratic_damping quadratic_drag linear_drag steady_wind",
     "coulomb_friction stribeck_friction load_dependent_friction hysteresis backlash",
     "coupling joint_spring viscous_damping",

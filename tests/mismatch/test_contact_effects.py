@@ -11,6 +11,7 @@ from conftest import blank_recording, make_study, state_columns
 from det2stoc_bayes.engines import contacts
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect, Typical
+from det2stoc_bayes.mismatch.effects.anisotropic import directed, share_along
 from det2stoc_bayes.mismatch.patch import make_patch
 from det2stoc_bayes.segments import cut
 from det2stoc_bayes.simulator import Simulator
@@ -36,6 +37,7 @@ VALUES = {
     "restitution_error": {"damping_ratio": 0.2},
     "adhesion": {"force": 2.0},
     "viscous_contact_friction": {"coefficient": 2.0},
+    "anisotropic_friction": {"ratio": 0.3, "direction": 0.4},
     "friction_patch": {"ratio": 0.3, "point": [0.25, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]},
 }
 TIME = np.arange(41) * 0.01
@@ -131,6 +133,35 @@ def test_what_rubs_by_speed_slows_in_proportion(tmp_path):
     plain, rubbed = (rollout(simulator, segments, e, start)[10:, speed] for e in effects)
     extra = (np.diff(plain[[0, -1]]) - np.diff(rubbed[[0, -1]]))[0] / 0.3
     assert extra == pytest.approx(2.0 * rubbed.mean(), rel=0.1)
+
+
+@pytest.mark.parametrize(("turn", "ratio"), [(0.0, 0.5), (np.pi / 2, 1.0), (np.pi / 4, np.sqrt(0.625))])
+def test_friction_is_that_of_an_ellipse_in_the_direction_of_the_motion(tmp_path, turn, ratio):
+    """Half as much along the way, or across it, or at half a right angle to it."""
+    _, simulator, segments, at = scene(tmp_path, half=0.01)
+    start = replace(START, qpos=np.array([[0.0, 0, 0.01, 1, 0, 0, 0]]), qvel=np.array([[2.0, 0, 0, 0, 0, 0]]))
+    speed = list(segments.columns).index("qvel/move/vx")
+    effects = (), [(place("anisotropic_friction", at), {"ratio": 0.5, "direction": turn})]
+    plain, other = (-np.diff(rollout(simulator, segments, e, start)[[10, 40], speed])[0] for e in effects)
+    assert other / plain == pytest.approx(ratio, rel=0.02)
+
+
+def test_a_direction_is_where_two_trials_add_up(tmp_path):
+    """Of a small ratio the friction along any direction is the mixture that `combine` names, and a part of friction."""
+    _, _, _, at = scene(tmp_path)
+    effect = place("anisotropic_friction", at).effect
+    (trial,) = effect.trials(Typical())
+    ways = np.linspace(0, np.pi, 9)
+    speeds = np.stack([np.cos(ways), np.sin(ways), 0 * ways], -1)
+
+    def change(p):
+        friction = directed({**p, "share": share_along(p, speeds, np)}, np.ones((9, 3)), None, None, np)[0]
+        return friction[:, 0] - 1
+
+    columns = np.stack([*(change({n: np.full(9, v) for n, v in c.items()}) for c in trial.columns), np.ones(9)], 1)
+    wanted = change({"ratio": np.full(9, 1.02), "direction": np.full(9, 1.2)})
+    found = np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    assert effect.combine(trial, found[:2], Typical()) == pytest.approx({"ratio": 1.02, "direction": 1.2}, abs=0.01)
 
 
 def test_an_adhesion_that_is_psi_acts_though_the_model_has_none(tmp_path):

@@ -85,6 +85,20 @@ def _patch(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
     return rub
 
 
+def _grained(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
+    """A friction that turns with the way of the moving body: `ratio` times as much along the grain as across it."""
+    mover, _ = geoms_of(model, element)
+    still = _outrank(model, element)
+    usual, joint = float(model.geom_friction[still, 0]), int(model.body_jntadr[model.geom_bodyid[mover]])
+    at = int(model.jnt_dofadr[joint])
+
+    def rub(data: mujoco.MjData, t: float) -> None:
+        angle = np.arctan2(data.qvel[at + 1], data.qvel[at]) - p["direction"]
+        model.geom_friction[still, 0] = usual * np.hypot(p["ratio"] * np.cos(angle), np.sin(angle))
+
+    return rub
+
+
 def _draw_region(rng: np.random.Generator, scene: Scene, element: str) -> Parameters:
     """A vertical plane across the middle of where the body goes."""
     turn = rng.uniform(-np.pi, np.pi)
@@ -145,6 +159,16 @@ CONTACT_LAWS: dict[str, Law] = {
         signed=True,
         fits=_often,
         push=_patch,
+    ),
+    "anisotropic_friction": Law(
+        "contact",
+        {"ratio": "1", "direction": "rad"},
+        lambda s, e: 0.7,
+        _ratio,
+        draw=lambda rng, s, e: {"direction": float(rng.uniform(-0.5 * np.pi, 0.5 * np.pi))},
+        signed=True,
+        fits=_often,
+        push=_grained,
     ),
     "rolling_friction": Law(
         "contact",

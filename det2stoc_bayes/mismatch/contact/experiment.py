@@ -15,6 +15,7 @@ MOTIONS = {
     "restitution_error": "drops from several heights",
     "adhesion": "slides and slow lifts under more and less weight",
     "viscous_contact_friction": "slides of several speeds that begin fast",
+    "anisotropic_friction": "slides in many directions over one place",
     "friction_patch": "slides over several places, each of them in two directions",
     "linear_drag": "slow flights that touch nothing",
     "quadratic_drag": "flights at several high speeds that touch nothing",

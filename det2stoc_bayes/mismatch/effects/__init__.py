@@ -3,6 +3,7 @@
 from det2stoc_bayes.mismatch.effects import (
     actuator,
     added_mass,
+    anisotropic,
     attraction,
     backlash,
     base_vibration,
@@ -67,6 +68,7 @@ CATALOGUE: dict[str, Effect] = {
         contact.ContactStiffness(),
         contact.RestitutionError(),
         contact.FrictionPatch(),
+        anisotropic.AnisotropicFriction(),
         contact_forces.Adhesion(),
         contact_forces.ViscousContactFriction(),
         actuator.ActuatorDelay(),
