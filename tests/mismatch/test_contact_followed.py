@@ -289,7 +289,7 @@ def test_nothing_further_is_looked_for_where_surely_little_is_left(problem, slid
     ends = []
     for sds in (0.0, 100.0):
         monkeypatch.setattr(run, "SURELY", sds)
-        ends.append(run._settled(before, after, rod, lambda *_: None))
+        ends.append(run._settled(before, after, rod))
     assert ends == [True, False]
 
 

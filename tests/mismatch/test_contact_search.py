@@ -9,7 +9,7 @@ from conftest import make_study
 from sliding import PSI, SLIDING, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
-from det2stoc_bayes.mismatch.contact import chances, rattle, search
+from det2stoc_bayes.mismatch.contact import chances, merit, rattle, search
 from det2stoc_bayes.mismatch.contact import screen as screening
 from det2stoc_bayes.mismatch.contact.fit import at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
@@ -130,7 +130,7 @@ def test_where_a_longer_memory_serves_no_held_out_recording_the_first_is_asked(
     monkeypatch.setattr(search, "held_gain", lambda *_: held)
     monkeypatch.setattr(search, "earns", lambda base, more, *_: asked.append(more) or more is short)
     one = search.look(base, pool, quiet)
-    again = memory != followed.memory and held < search.HELD_GAIN
+    again = memory != followed.memory and held < merit.HELD_GAIN
     assert asked == ([longer, short] if again else [longer])
     assert one.taken is (short if again else None)
     assert one.refined[0] is (short if again else longer)
@@ -167,6 +167,9 @@ def test_what_a_rivals_own_recordings_would_say_leaves_a_lead_no_name(followed, 
         assert one.taken is (wrong if earns else right) and one.leader is (right if earns else None)
         first, second = classes(one, np.random.default_rng(0))
         assert first.members == ((wrong,) if earns else (right,)) and first.chance > 0.9 - 0.89 * (not earns)
+    told = []
+    one = search.look(base, pool, quiet, 0, lambda *pairs: bool(told.append(pairs)))
+    assert told == [(base, right)] and one.taken is right and one.rivals == ()  # what does not matter has no rivals
     monkeypatch.setattr(search, "rattles", lambda _: False)
     assert search.look(base, pool, quiet).rivals == ()
 
@@ -252,22 +255,22 @@ def test_a_gain_that_few_blocks_have_must_be_far_beyond_chance(followed, problem
     gains = np.zeros(len(base.losses))
     gains[:2], gains[-1] = 50.0, 5.0
     more = gaining(base, more, gains)
-    monkeypatch.setattr(search, "LEAST_BLOCKS", 1)
+    monkeypatch.setattr(merit, "LEAST_BLOCKS", 1)
     asked = []
 
     def chance(gain):
         return lambda most: asked.append(most) or gain
 
-    assert search.earns(base, more, 11.0, chance(10.0))
-    assert not search.earns(base, more, 11.0, chance(40.0))
-    assert asked == pytest.approx(2 * [100.0 / search.TIMES])
-    assert not search.earns(base, more, 200.0, lambda _: 0.0)  # less than an addition must earn
+    assert merit.earns(base, more, 11.0, chance(10.0))
+    assert not merit.earns(base, more, 11.0, chance(40.0))
+    assert asked == pytest.approx(2 * [100.0 / merit.TIMES])
+    assert not merit.earns(base, more, 200.0, lambda _: 0.0)  # less than an addition must earn
     gains[-1] = 1.0
     more = gaining(base, more, gains)
-    assert not search.earns(base, more, 11.0, lambda _: 0.0)  # nothing of it is held out
+    assert not merit.earns(base, more, 11.0, lambda _: 0.0)  # nothing of it is held out
     gains[:2], gains[-1] = 1.0, 100.0
     more = gaining(base, more, gains)
-    assert not search.earns(base, more, 11.0, lambda _: 0.0)  # all of it is: the base's own values end elsewhere there
+    assert not merit.earns(base, more, 11.0, lambda _: 0.0)  # all of it is: the base's own values end elsewhere there
 
 
 def test_who_gains_little_beside_the_best_goes_no_further(fit):
@@ -330,13 +333,13 @@ def test_a_step_that_gains_next_to_nothing_beside_luck_is_the_last(followed, pro
 def test_chance_gains_little_where_nothing_is_missing(followed, problem, pool):
     base = pair_of(followed, [z_of(problem, TRUTH)])
     few = [c for c in pool if c.effect.name in ("linear_drag", "gravity_error", "friction_error")]
-    gain = search.gain_by_chance(base, few, 0, quiet, 0.0)
+    gain = merit.gain_by_chance(base, few, 0, quiet, 0.0)
     assert 0 <= gain < 20  # a few nats a parameter
-    assert search.gain_by_chance(base, few, 0, quiet, 187.0, 60.0) == 187.0  # the bumps of the recordings themselves
-    every = search.NUM_CHANCES
+    assert merit.gain_by_chance(base, few, 0, quiet, 187.0, 60.0) == 187.0  # the bumps of the recordings themselves
+    every = merit.NUM_CHANCES
     for most, sets in ((np.inf, [*range(every + 1)]), (0.0, [every]), (1e4, [0, every])):
         made = []
-        search.gain_by_chance(base, few, 0, lambda _, k, of, made=made: made.append(k), 0.0, most)
+        merit.gain_by_chance(base, few, 0, lambda _, k, of, made=made: made.append(k), 0.0, most)
         assert made == sets  # none where there is enough, one where that is far below; the last is the end
 
 

@@ -83,7 +83,7 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     random = np.random.default_rng(seed)
     places = tuple(classes(r, random) for r in taken)
     common = {"rounds": tuple(rounds), "rod": rod, "excess": excess / rod.level, "unexplained": left}
-    small = not taken or sum(explains) < NEGLIGIBLE or _surely_little(before, led[0], final, rod)
+    small = not taken or sum(explains) < NEGLIGIBLE or surely_little(before, final, rod)
     if small:
         out = tuple((r.taken, e) for r, e in zip(taken, explains, strict=True) if r.taken is not None)
         shown = topped_pair(before, seed) if taken else before
@@ -101,14 +101,12 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
     return Verdict(verdict, shown, after=final, places=places, explains=explains, **common)
 
 
-def _surely_little(before: Pair, led: Pair, final: Pair, rod: Yardstick) -> bool:
-    """Whether an explanation surely takes next to nothing off, with its memory and the next, which forgives less.
-
-    `led` is the believed model with the explanation's memory.
-    """
-    if rod.most_gained(led, final) >= NEGLIGIBLE:
+def surely_little(before: Pair, final: Pair, rod: Yardstick) -> bool:
+    """Whether an explanation surely takes next to nothing off, with its memory and the next, which forgives less."""
+    memory = final.fit.followed.memory
+    if rod.most_gained(with_memory(before, memory), final) >= NEGLIGIBLE:
         return False
-    longer = next((m for m in MEMORIES if m > final.fit.followed.memory), None)
+    longer = next((m for m in MEMORIES if m > memory), None)
     if longer is None:
         return True
     plain, told = (with_memory(p, longer) for p in (before, final))

@@ -1,6 +1,7 @@
 """The diagnosis of a study in which bodies touch."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from det2stoc_bayes.mismatch.contact.believed import believed, finer
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
-from det2stoc_bayes.mismatch.contact.judge import Verdict, classes, judged, topped_pair
+from det2stoc_bayes.mismatch.contact.judge import Verdict, classes, judged, surely_little, topped_pair
 from det2stoc_bayes.mismatch.contact.pair import SKETCH, Pair, paired, with_memory
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
@@ -44,22 +45,35 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     pool = [] if lone else candidates(first.fit.problem, elements_of(first.fit))
     base, rounds = first, []
     rod: Yardstick | None = None  # of the base, where that is at its top
-    measured: tuple[Pair, Yardstick] | None = None
-    while len(rounds) < MAX_EFFECTS and not (rod is not None and _settled(rounds[0].base, base, rod, progress)):
-        one = look(base, pool, progress, seed) if pool else Round(base, (), (), None)
+
+    @cache
+    def told(pair: Pair) -> tuple[Pair, Yardstick]:
+        progress("measuring what is left", 0, 1)
+        top = _measured(_by_steps_that_tell(pair), seed)
+        progress("measuring what is left", 1, 1)
+        return top
+
+    def little(believed: Pair, taken: Pair) -> bool:
+        final, rod = told(taken)
+        return surely_little(_by_steps_of(final, believed), final, rod)
+
+    def matters(believed: Pair, taken: Pair) -> bool:
+        return bool(rounds) or not little(believed, taken)
+
+    while len(rounds) < MAX_EFFECTS:
+        one = look(base, pool, progress, seed, matters) if pool else Round(base, (), (), None)
         rounds.append(one)
-        base = one.base if one.taken is None else _by_steps_that_tell(one.taken)
-        rod = None
         if one.taken is None:
+            rod = rod if one.base is base else None
+            base = one.base
             break
+        base, rod = told(one.taken)
         if one.rivals and classes(one, np.random.default_rng(seed))[0].chance < SURE:
             break  # what else is missing depends on which of them it is
-        progress("measuring what is left", 0, 1)
-        base, rod = measured = _measured(base, seed)
+        if _settled(rounds[0].base, base, rod) or (len(rounds) == 1 and little(one.base, one.taken)):
+            break
     progress("scoring held-out recordings", 0, 1)
     before = _by_steps_of(base, rounds[0].base)
-    if measured is not None and measured[0] is base:
-        rod = measured[1]
     if rod is None:
         alone = base is rounds[0].base
         base, rod = _measured(base, seed)
@@ -93,12 +107,10 @@ def _measured(pair: Pair, seed: int) -> tuple[Pair, Yardstick]:
     return top, yardstick(top.fit, seed)
 
 
-def _settled(before: Pair, after: Pair, rod: Yardstick, progress: Progress) -> bool:
+def _settled(before: Pair, after: Pair, rod: Yardstick) -> bool:
     """Whether surely so little of the error is left that whatever else explains it were negligible."""
     most = rod.of(after) + SURELY * rod.uncertain(after)
-    left = rod.left(rod.of(with_memory(before, after.fit.followed.memory)), most)
-    progress("measuring what is left", 1, 1)
-    return left < NEGLIGIBLE
+    return rod.left(rod.of(with_memory(before, after.fit.followed.memory)), most) < NEGLIGIBLE
 
 
 def fit_believed(problem: Problem, *, hold_out: bool = True) -> Pair:

@@ -8,6 +8,7 @@ import numpy as np
 
 from det2stoc_bayes.mismatch.contact.chances import LEAST_NEAR, LUCK, as_the_best, best_of_each
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
+from det2stoc_bayes.mismatch.contact.merit import HELD_GAIN, earns, gain_by_chance, held_gain
 from det2stoc_bayes.mismatch.contact.pair import (
     SKETCH,
     Pair,
@@ -22,12 +23,9 @@ from det2stoc_bayes.mismatch.contact.pair import (
 )
 from det2stoc_bayes.mismatch.contact.polish import BUMPY, polished
 from det2stoc_bayes.mismatch.contact.rattle import Rival, likelier, rattles, rivals
-from det2stoc_bayes.mismatch.contact.replicas import replicated
-from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import Promise, promising_more, screen, some
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.contact.top import bumps
-from det2stoc_bayes.mismatch.contact.yardstick import LEAST_BLOCKS
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.shortlist import shortlist
@@ -41,11 +39,6 @@ LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less i
 MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
 NEAR = 0.3  # share of the best's gain behind which none comes near any more
 SO_HIGH = 10.0  # times as high as bumps: a lead that they do not turn
-LEAST_CERTAIN = 3.0  # standard errors of the gain over blocks: of those fitted
-HELD_GAIN = 3.0  # nats of it on recordings held out
-TIMES = 3.0  # what chance gains at most
-NUM_CHANCES = 3  # data sets that the base itself makes
-FAR_BELOW = 0.2  # of what is asked for: by one set that gains no more, others are not made
 MAX_EFFECTS = 3
 LOOK_AGAIN = 30.0  # nats of a leader, whose rivals are looked for once more where it ended,
 MOVED = 0.1  # if psi has moved by so many prior sds there: else they promise what they did
@@ -65,12 +58,18 @@ class Round:
     leader: Pair | None = None  # that likeliest one, where a rival was taken in its place
 
 
-def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int = 0) -> Round:
+def look(
+    base: Pair,
+    pool: Sequence[PlacedEffect],
+    progress: Progress,
+    seed: int = 0,
+    matters: Callable[[Pair, Pair], bool] = lambda *_: True,
+) -> Round:
     """Screen all, fit the few best, and take the best if recordings that were not fitted ask for it.
 
     The base goes beyond its bumps first, and to where its best addition leads it: neither is an addition's merit. A
     leader's rivals are looked for once more where it ended, for psi is another there. Where simulations rattle, who
-    is surely likelier by recordings of its own is taken in its place.
+    is surely likelier by recordings of its own is taken in its place, if what was taken `matters` beside the base.
     """
     others = [p for p in pool if p not in base.fit.problem.effects]
     progress("measuring bumps", 0, 1)
@@ -107,7 +106,7 @@ def look(base: Pair, pool: Sequence[PlacedEffect], progress: Progress, seed: int
         first = as_the_best(best_of_each([short[p.placed] for p in found]), luck)
         if first[0].placed == found[0].placed and earns(base, first[0], needed, chance):
             found, taken = first, first[0]
-    if taken is None or not rattles(base.fit):
+    if taken is None or not rattles(base.fit) or not matters(base, taken):
         return Round(base, tuple(screened), tuple(found), taken, luck)
     weighed = rivals(taken, found, there, latest, luck, seed, progress)
     leader, tried = None, best_of_each([*found, *(r.pair for r in weighed)])
@@ -247,49 +246,3 @@ def smoothed(base: Pair, found: Sequence[Pair], luck: float, progress: Progress,
     done += [p for p in near if p not in contested]
     alone = as_the_best(best_of_each(done), luck)
     return best_of_each([*alone, *(p for p in found if p not in near)]), luck
-
-
-def earns(base: Pair, more: Pair, needed: float, chance: Callable[[float], float]) -> bool:
-    """Whether an addition tells fitted and held-out recordings better than chance does.
-
-    Either most blocks say so, or few do by far more than `chance`: what is gained on data of the base's own making,
-    looked for until it is too much.
-    """
-    if not (more.fit.z > more.fit.problem.floor + 1e-6).all() or more.gain(base) < needed:
-        return False
-    gains = base.losses - more.losses
-    fitted = np.arange(len(gains)) < more.fit.followed.count
-    sure = certainty(gains[fitted], more.owners[fitted])
-    if more.held.followed.count < LEAST_BLOCKS:
-        return sure > 2 * LEAST_CERTAIN
-    if held_gain(base, more) < HELD_GAIN or gains[fitted].sum() < needed * fitted.mean():
-        return False  # what is gained on the one alone is no merit of the addition
-    most = float(gains[fitted].sum()) / TIMES
-    return sure >= LEAST_CERTAIN or chance(most) < most
-
-
-def held_gain(base: Pair, more: Pair) -> float:
-    """Nats that an addition gains on recordings held out."""
-    return float(base.held.losses.sum() - more.held.losses.sum())
-
-
-def gain_by_chance(
-    base: Pair, rivals: Sequence[PlacedEffect], seed: int, progress: Progress, luck: float, most: float = np.inf
-) -> float:
-    """The most that these gain on fitted recordings as the base would make them; looked for until it is `most`, or
-    nowhere near.
-
-    At least `luck`: where something is missing, bumps may be higher than on any recordings that the base makes.
-    """
-    best = luck
-    for k in range(NUM_CHANCES):
-        if best >= most or (k and best < FAR_BELOW * most < np.inf):
-            break
-        progress("measuring chance", k, NUM_CHANCES)
-        followed = replicated(base.fit, np.random.default_rng([seed, 7, k]))
-        fit = fit_followed(followed, base.fit.z, iterations=3, like=base.fit)
-        worth = screen(fit, rivals)
-        fits = side_by_side(fit.problem, partial(sketched, fit), worth)
-        best = max([best, *(float(fit.losses.sum() - f.losses.sum()) for f in fits)])
-    progress("measuring chance", NUM_CHANCES, NUM_CHANCES)
-    return best
