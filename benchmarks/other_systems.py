@@ -1,4 +1,4 @@
-"""Systems of kinds that the concealed proof does not draw: a drone, a ball joint, a finger moved by a tendon, a marble.
+"""Systems of kinds that the concealed proof does not draw, from a drone and a ball joint to a crane and a rover.
 
 Reality is each scene at a quarter of the timestep, with a law of its own and measurement noise. The study is diagnosed
 by a process that sees nothing else. Results go to benchmarks/results/other_systems.jsonl.
@@ -11,121 +11,18 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from detective import FILES, FREE_Q, FREE_V, Case, conceal, write
+from detective import FILES, Case, conceal, write
 from jaxtyping import Float
+from other_scenes import SCENES, Random, Scene
 
 LOG = Path(__file__).parent / "results" / "other_systems.jsonl"
 FINER = 4  # steps of reality for one of the model
 PERIOD, FITTED, HELD = 0.01, 6, 2
 NOISE_Q, NOISE_V = 5e-4, 5e-3
-BALL_Q, BALL_V = ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz")
 DRAG, GAIN, TILT, MASS, PLACE, CUBIC, ROLLING = 0.15, 0.9, 0.03, 0.05, (0.05, 0.06, -0.3), 0.25, 0.003
+SQUARE, THIN, PIVOT = 0.12, 0.06, 0.15  # kg/m, N s/m, N m/rad3
 
-DRONE = """<mujoco><option timestep="0.004" integrator="implicitfast"/><worldbody>
-  <body name="drone" pos="0 0 1"><freejoint name="fly"/><geom name="hull" type="box" size="0.1 0.1 0.03" mass="0.8"/>
-    <site name="m1" pos="0.12 0.12 0"/><site name="m2" pos="-0.12 0.12 0"/>
-    <site name="m3" pos="-0.12 -0.12 0"/><site name="m4" pos="0.12 -0.12 0"/></body></worldbody>
-  <actuator><motor name="t1" site="m1" gear="0 0 1 0 0 0.02"/><motor name="t2" site="m2" gear="0 0 1 0 0 -0.02"/>
-    <motor name="t3" site="m3" gear="0 0 1 0 0 0.02"/><motor name="t4" site="m4" gear="0 0 1 0 0 -0.02"/></actuator>
-</mujoco>"""
-BALL = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
-  <body name="bob" pos="0 0 2"><joint name="socket" type="ball" damping="0.01"/>
-    <geom name="rod" type="capsule" fromto="0 0 0 0.1 0 -0.5" size="0.01" mass="0.1"/>
-    <geom name="weight" type="sphere" pos="0.1 0 -0.5" size="0.05" mass="0.4"/></body></worldbody></mujoco>"""
-FINGER = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
-  <default><geom contype="0" conaffinity="0"/></default><worldbody>
-  <body name="near" pos="0 0 1"><joint name="mcp" type="hinge" axis="0 1 0" damping="0.01" stiffness="0.2"/>
-    <geom type="capsule" fromto="0 0 0 0.12 0 0" size="0.012" mass="0.12"/>
-    <body name="far" pos="0.12 0 0"><joint name="pip" type="hinge" axis="0 1 0" damping="0.006" stiffness="0.15"/>
-      <geom type="capsule" fromto="0 0 0 0.1 0 0" size="0.01" mass="0.08"/></body></body></worldbody>
-  <tendon><fixed name="flexor"><joint joint="mcp" coef="0.02"/><joint joint="pip" coef="0.014"/></fixed></tendon>
-  <actuator><position name="servo" tendon="flexor" kp="900" kv="6"/></actuator></mujoco>"""
-MARBLE = """<mujoco><option timestep="0.002" integrator="implicitfast" cone="elliptic"/><worldbody>
-  <geom name="floor" type="plane" size="5 5 .1" friction="0.6 0.005 0.0001" condim="6"/>
-  <body name="marble" pos="0 0 0.0499"><freejoint name="free"/>
-    <geom name="skin" type="sphere" size="0.05" mass="0.3" condim="6" friction="0.6 0.005 0.0001"/></body></worldbody>
-</mujoco>"""
-type Random = np.random.Generator
-type Command = Callable[[Random], Callable[[float], Float[np.ndarray, " controls"]]]
 type Prepare = Callable[[mujoco.MjModel], Callable[[mujoco.MjData], None]]
-
-
-def truncated(name: str, target: str, loc: float, scale: float, index: str = "") -> str:
-    """A psi of the study, within 0.3 and 1.7 times its prior's middle."""
-    prior = f"{{ TruncatedNormal = {{ loc = {loc}, scale = {scale}, low = {0.3 * loc:g}, high = {1.7 * loc:g} }} }}"
-    return f'[psi.{name}]\ntarget = "{target}"\n{index}prior = {prior}\n'
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A model, how its recordings begin, what is commanded, and what is uncertain."""
-
-    xml: str
-    columns: tuple[str, ...]
-    seconds: float
-    begin: Callable[[mujoco.MjData, Random], None]
-    psi: str
-    command: Command = lambda _: lambda _t: np.zeros(0)
-    integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_RK4  # of reality
-
-
-def swaying(count: int, middle: float, amplitude: float) -> Command:
-    """Commands that are sums of sines about a middle."""
-
-    def drawn(random: Random) -> Callable[[float], Float[np.ndarray, " controls"]]:
-        size = amplitude * random.uniform(0.4, 1.0, (count, 3)) / 1.7
-        frequency, phase = random.uniform(0.3, 2.5, (count, 3)), random.uniform(0.0, 6.28, (count, 3))
-        return lambda t: middle + (size * np.sin(2 * np.pi * frequency * t + phase)).sum(1)
-
-    return drawn
-
-
-def thrown(data: mujoco.MjData, random: Random) -> None:
-    """A drone in flight."""
-    data.qvel[:3], data.qvel[3:] = random.normal(0.0, 1.5, 3), random.normal(0.0, 0.5, 3)
-
-
-def swung(data: mujoco.MjData, random: Random) -> None:
-    """A pendulum turned to some side."""
-    axis = random.normal(size=3)
-    mujoco.mju_axisAngle2Quat(data.qpos, axis / np.linalg.norm(axis), random.uniform(0.4, 1.0))
-    data.qvel[:] = random.normal(0.0, 1.5, 3)
-
-
-def bent(data: mujoco.MjData, random: Random) -> None:
-    """A finger a little bent."""
-    data.qpos[:] = random.normal(0.0, 0.2, 2)
-
-
-def rolling(data: mujoco.MjData, random: Random) -> None:
-    """A marble that slides and spins."""
-    turn = random.normal(size=4)
-    data.qpos[3:] = turn / np.linalg.norm(turn)
-    data.qvel[:2], data.qvel[3:] = random.normal(0.0, 1.0, 2), random.normal(0.0, 8.0, 3)
-
-
-def free(joint: str) -> tuple[str, ...]:
-    """Columns of a free joint."""
-    return (*(f"qpos/{joint}/{c}" for c in FREE_Q), *(f"qvel/{joint}/{c}" for c in FREE_V))
-
-
-SOCKET = (*(f"qpos/socket/{c}" for c in BALL_Q), *(f"qvel/socket/{c}" for c in BALL_V))
-PLAIN = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-SCENES = {
-    "drone": Scene(
-        DRONE, (*free("fly"), *(f"ctrl/t{k}" for k in range(1, 5))), 1.5, thrown,
-        truncated("mass", "body/drone/mass", 0.8, 0.1), swaying(4, 1.96, 0.25),
-    ),
-    "ball": Scene(BALL, SOCKET, 3.0, swung, truncated("damping", "joint/socket/damping", 0.01, 0.003)),
-    "finger": Scene(
-        FINGER, ("qpos/mcp", "qpos/pip", "qvel/mcp", "qvel/pip", "ctrl/servo"), 2.0, bent,
-        truncated("stiffness", "joint/pip/stiffness", 0.15, 0.03), swaying(1, 0.0, 0.015),
-    ),
-    "marble": Scene(
-        MARBLE, free("free"), 1.5, rolling, truncated("friction", "geom/*/friction", 0.6, 0.1, "index = [0]\n"),
-        integrator=PLAIN,
-    ),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -169,11 +66,6 @@ def hardened(model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
     return push
 
 
-def weak(model: mujoco.MjModel) -> None:
-    """A motor of the drone that gives less."""
-    model.actuator_gainprm[1, 0] *= GAIN
-
-
 def tilted(model: mujoco.MjModel) -> None:
     """Gravity leans towards x."""
     model.opt.gravity[:] = 9.81 * np.array([np.sin(TILT), 0.0, -np.cos(TILT)])
@@ -202,16 +94,79 @@ def sticky(model: mujoco.MjModel) -> None:
     model.geom_friction[:, 2] = ROLLING
 
 
+def held_back(model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
+    """Air about a crane's load, by the square of its speed."""
+    load = model.body("load").id
+
+    def push(data: mujoco.MjData) -> None:
+        speed, torque = np.zeros(6), np.zeros(3)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, load, speed, 0)
+        force = -SQUARE * float(np.linalg.norm(speed[3:])) * speed[3:]
+        mujoco.mj_applyFT(model, data, force, torque, data.xipos[load], load, data.qfrc_passive)
+
+    return push
+
+
+def hindered(model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
+    """Air that holds a ball back."""
+
+    def push(data: mujoco.MjData) -> None:
+        force, torque = -THIN * data.qvel[:3], np.zeros(3)
+        mujoco.mj_applyFT(model, data, force, torque, data.xipos[1], 1, data.qfrc_passive)
+
+    return push
+
+
+def stiffened(model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
+    """A spring of a pendulum's pivot that grows with the cube."""
+
+    def push(data: mujoco.MjData) -> None:
+        data.qfrc_passive[0] -= PIVOT * data.qpos[0] ** 3
+
+    return push
+
+
+def rubbing(joint: str, friction: float) -> Prepare:
+    """Dry friction of a joint."""
+
+    def rub(model: mujoco.MjModel) -> None:
+        model.dof_frictionloss[model.joint(joint).dofadr[0]] = friction
+
+    return changing(rub)
+
+
+def giving(actuator: str, share: float) -> Prepare:
+    """A motor that gives a share of what it should."""
+
+    def give(model: mujoco.MjModel) -> None:
+        model.actuator_gainprm[model.actuator(actuator).id, 0] *= share
+
+    return changing(give)
+
+
 NOTHING = changing(lambda model: None)
 CASES: dict[str, Case] = {
     "drone-drag": (Hidden("drone", dragged), "linear_drag", "drone"),
-    "drone-gain": (Hidden("drone", changing(weak)), "actuator_gain", "t2"),
+    "drone-gain": (Hidden("drone", giving("t2", GAIN)), "actuator_gain", "t2"),
     "ball-tilt": (Hidden("ball", changing(tilted)), "gravity_tilt", "world"),
     "ball-payload": (Hidden("ball", changing(loaded)), "payload_mass", "bob"),
     "ball-nothing": (Hidden("ball", NOTHING), "", ""),
     "finger-cubic": (Hidden("finger", hardened), "cubic_stiffness", "pip"),
     "marble-rolling": (Hidden("marble", changing(sticky)), "rolling_friction", "floor/skin"),
     "marble-nothing": (Hidden("marble", NOTHING), "", ""),
+    "crane-drag": (Hidden("crane", held_back), "quadratic_drag", "load"),
+    "crane-friction": (Hidden("crane", rubbing("rail", 1.5)), "coulomb_friction", "rail"),
+    "crane-nothing": (Hidden("crane", NOTHING), "", ""),
+    "linkage-friction": (Hidden("linkage", rubbing("c", 0.06)), "coulomb_friction", "c"),
+    "linkage-nothing": (Hidden("linkage", NOTHING), "", ""),
+    "wheel-cubic": (Hidden("wheel", stiffened), "cubic_stiffness", "pivot"),
+    "wheel-gain": (Hidden("wheel", giving("drive", 0.9)), "actuator_gain", "drive"),
+    "wheel-friction": (Hidden("wheel", rubbing("pivot", 0.02)), "coulomb_friction", "pivot"),
+    "wheel-nothing": (Hidden("wheel", NOTHING), "", ""),
+    "bounce-drag": (Hidden("bounce", hindered), "linear_drag", "ball"),
+    "bounce-nothing": (Hidden("bounce", NOTHING), "", ""),
+    "rover-gain": (Hidden("rover", giving("mr", 0.8)), "actuator_gain", "mr"),
+    "rover-nothing": (Hidden("rover", NOTHING), "", ""),
 }
 
 

@@ -57,6 +57,12 @@ class Simulator:
         return np.array([float(np.asarray(self._base[a.field])[a.places[0]]) for a in self.addresses])
 
     @property
+    def integrator(self) -> str:
+        """The believed one, as MJCF spells it."""
+        name = mujoco.mjtIntegrator(self.model.opt.integrator).name.removeprefix("mjINT_")
+        return {"EULER": "Euler", "RK4": "RK4"}.get(name, name.lower())
+
+    @property
     def fingerprint(self) -> str:
         """Of the model, psi with their priors, noise and all recordings: equal where a method's results would be."""
         study, found = self.study, hashlib.sha256()

@@ -140,12 +140,12 @@ class Composer:
     def _numerical(self) -> finding.Effect:
         numerics = self.judged.numerics
         assert numerics is not None
-        step = numerics.timestep
+        step, does = numerics.timestep, "converges" if numerics.integrator == "RK4" else "tells the recordings"
         return finding.Effect(
             name="numerical_integration",
             element=finding.Element(kind="simulator", name="option"),
             law=CATALOGUE["numerical_integration"].law_text,
-            statement=f"The believed integration is too coarse: {numerics.integrator} at {step:g} s converges.",
+            statement=f"The believed integration is too coarse: {numerics.integrator} at {step:g} s {does}.",
             probability=float(probabilities([numerics.gain], self.judged.found.num_candidates)[0]),
             explains=self.judged.numerics_share,
             recordings="all",

@@ -22,7 +22,7 @@ from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.horizon import climb, reaches
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
 from det2stoc_bayes.mismatch.looks import Looks
-from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics, of_believed
+from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics, of_believed, simulated
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.replay import replay, states_of
@@ -149,28 +149,45 @@ def _search(before: Fit, progress: Progress) -> _Search:
     pool, looks = candidates(before.problem), Looks(progress)
     step = float(before.problem.simulator.model.opt.timestep)
 
+    def leader(fit: Fit, looks: Looks) -> Fit:
+        ranked = [] if by_chance(fit) else looks.at(fit, pool).ranked
+        return looks.extended(ranked[0].fit) if ranked and ranked[0].gain >= threshold(len(pool)) else fit
+
     def at(numerics: Numerics) -> _Search:
         looks = Looks(progress)
+        told = as_simulated(numerics, numerics.fit) or as_simulated(numerics, leader(numerics.fit, looks))
+        if told is not None:
+            numerics, looks = told, Looks(progress)
         return _Search(numerics, explain_by_all(numerics.fit, pool, looks), pool, looks)
 
     def beside(fit: Fit) -> Numerics | None:
         missed = bool(fit.problem.effects) and fit.noise_inflation >= MODEL_ERROR
         found = check_numerics(fit, step, len(pool)) if missed else None
-        return None if found is None else of_believed(found, before)
+        return None if found is None else as_simulated(found, found.fit) or of_believed(found, before)
+
+    def as_simulated(numerics: Numerics, fit: Fit) -> Numerics | None:
+        told = simulated(fit, step)
+        return None if told is None else of_believed(_by_steps_of(told, numerics), before)
 
     numerics = check_numerics(before, step, len(pool))
     if numerics is not None:
         return at(numerics)
-    ranked = [] if by_chance(before) else looks.at(before, pool).ranked
-    leader = looks.extended(ranked[0].fit) if ranked and ranked[0].gain >= threshold(len(pool)) else before
-    numerics = beside(leader)
+    first = leader(before, looks)
+    numerics = beside(first)
     if numerics is not None:
         return at(numerics)
     plain = _Search(None, explain_by_all(before, pool, looks), pool, looks)
     after = plain.found.after
-    numerics = None if after is leader else beside(after)
+    numerics = None if after is first else beside(after)
     again = plain if numerics is None else at(numerics)
     return again if _tells_more(again.found.after, after) else plain
+
+
+def _by_steps_of(fit: Fit, numerics: Numerics) -> Numerics:
+    """What is told of the believed steps, by those of another fit."""
+    step, integrator = fit.problem.timestep, fit.problem.integrator
+    assert step is not None and integrator is not None
+    return replace(numerics, timestep=step, integrator=integrator)
 
 
 def _tells_more(fit: Fit, other: Fit) -> bool:

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, effective_share, log_evidence, profile
+from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence, profile
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.problem import Finer, Problem
 
 FINE = 4  # times finer, by RK4: the reference
 RATIOS = (1, 2, 4)  # timesteps tried for "what converges", coarsest first
+SHORTER = (2, 4, 5, 8, 10, 16)  # times: steps of the believed integrator by which recordings may have been simulated
 NEAR = 50.0  # nats behind the best within which an error of integration may decide in any case
 MOST_COMPARED = 5
 NEGLIGIBLE = 4.0  # whitened squared change of all samples that no evidence could come from
@@ -45,6 +46,24 @@ def check_numerics(fit: Fit, timestep: float, num_candidates: int) -> Numerics |
     return Numerics(step, integrator, gain, better) if gain > threshold(num_candidates) else None
 
 
+def simulated(fit: Fit, timestep: float) -> Fit | None:
+    """The same hypothesis by shorter steps of the believed integrator, where these leave but chance; else None.
+
+    What was recorded of another simulation has that one's error, which no converged one has.
+    """
+    if by_chance(fit):
+        return None
+    own = fit.problem.simulator.integrator
+    here = _predicted(fit)
+    left = {n: _chi2_with(fit, here, _predicted(fit, timestep / n, own)) for n in SHORTER}
+    times = min(left, key=left.__getitem__)
+    noise = fit.problem.measurement.mean_square * fit.linear.degrees_of_freedom
+    if left[times] >= min(MODEL_ERROR * noise, 0.5 * (fit.chi2 + noise)):
+        return None
+    found = by_steps(fit, timestep / times, own)
+    return found if found is not None and by_chance(found) else None
+
+
 def by_steps(fit: Fit, timestep: float | None, integrator: str | None) -> Fit | None:
     """The same hypothesis under another integration, None: the believed one; None where that cannot follow."""
     return fit_many([(_at(fit, timestep, integrator), fit.point)], tolerance=0.3)[0]
@@ -61,7 +80,7 @@ def converging(fit: Fit, numerics: Numerics | None) -> tuple[Fit, Numerics | Non
     step = fit.problem.timestep
     found = None if step is None else _converged(fit, step, _moved)
     better = None if found is None else by_steps(fit, found[0], found[1])
-    if found is None or better is None:
+    if found is None or better is None or (by_chance(fit) and not by_chance(better)):  # as what was recorded has it
         return fit, numerics
     if numerics is not None:
         plain = by_steps(numerics.fit, found[0], found[1]) or numerics.fit
@@ -165,12 +184,18 @@ def _moved(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
 
 def _promise(fit: Fit, shift: Float[np.ndarray, "segments samples columns"]) -> float:
     """What a shift of the prediction gains in log likelihood to first order, nats."""
-    lin, here = fit.linear, _predicted(fit)
-    r = lin.latent.project(lin.stacked)[..., 0]
-    chi2 = fit.chi2 + _unabsorbed(fit, r - _difference(fit, here, here + shift)) - _unabsorbed(fit, r)
-    n = lin.degrees_of_freedom
-    told = [-profile(x, max(1.0, x / fit.problem.measurement.mean_square / n), n) for x in (fit.chi2, max(chi2, 0.0))]
+    here, n = _predicted(fit), fit.linear.degrees_of_freedom
+    chi2 = max(_chi2_with(fit, here, here + shift), 0.0)
+    told = [-profile(x, max(1.0, x / fit.problem.measurement.mean_square / n), n) for x in (fit.chi2, chi2)]
     return told[1] - told[0]
+
+
+def _chi2_with(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
+    """What another prediction leaves to first order; infinite where it diverges."""
+    if not np.isfinite(there).all():
+        return np.inf
+    r = fit.linear.latent.project(fit.linear.stacked)[..., 0]
+    return fit.chi2 + _unabsorbed(fit, r - _difference(fit, here, there)) - _unabsorbed(fit, r)
 
 
 def _difference(fit: Fit, here: np.ndarray, there: np.ndarray) -> Float[np.ndarray, "segments stacked"]:

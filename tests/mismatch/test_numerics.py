@@ -12,7 +12,16 @@ from det2stoc_bayes.mismatch import numerics
 from det2stoc_bayes.mismatch.diagnose import diagnose
 from det2stoc_bayes.mismatch.evidence import log_evidence
 from det2stoc_bayes.mismatch.explain import Explanation
-from det2stoc_bayes.mismatch.numerics import Numerics, check_numerics, comparable, converging, corrected, held_error
+from det2stoc_bayes.mismatch.numerics import (
+    Numerics,
+    by_steps,
+    check_numerics,
+    comparable,
+    converging,
+    corrected,
+    held_error,
+    simulated,
+)
 from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.statements import finer_step
 from det2stoc_bayes.optimize import fit_many
@@ -28,9 +37,9 @@ prior = { Normal = { loc = 0.05, scale = 0.02 } }
 """
 
 
-def believed(folder, option, noise=(2e-3, 2e-2), **options):
+def believed(folder, option, noise=(2e-3, 2e-2), reality=FINE, **options):
     """What a fine simulation recorded, believed to come from another."""
-    made = recordings(model_xml(PENDULUM, option=FINE), STARTS, 20 * np.arange(60), noise, **options)
+    made = recordings(model_xml(PENDULUM, option=reality), STARTS, 20 * np.arange(60), noise, **options)
     return fit(pose(make_study(folder / "study", model_xml(PENDULUM, option=option), PSI + noise_table(*noise), made)))
 
 
@@ -58,6 +67,29 @@ def test_a_fine_one_is_not(tmp_path, option):
     base = believed(tmp_path, option)
     assert base.noise_inflation < 1.3
     assert check_numerics(base, float(option.split('"')[1]), 20) is None
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_recordings_of_a_simulation_may_have_an_error_of_their_own(tmp_path, missing):
+    """Which none that converges has: what is left by that is not looked for among effects."""
+
+    def twisted(model, data):
+        data.qfrc_applied[0] = 0.3 * np.sin(4 * data.qpos[0])
+
+    reality = {"reality": COARSE.replace("0.02", "0.004"), **({"push": twisted} if missing else {})}
+    base = believed(tmp_path, COARSE, (2e-4, 2e-3), **reality)
+    converged = by_steps(base, 0.005, "RK4")
+    found = simulated(converged, 0.02)
+    assert converged.noise_inflation > 1.5
+    if missing:
+        assert found is None
+        return
+    assert (found.problem.timestep, found.problem.integrator) == (0.004, "Euler")
+    assert found.noise_inflation == pytest.approx(1.0, abs=0.2) and simulated(found, 0.02) is None
+    told = Numerics(0.004, "Euler", 50.0, found)
+    assert converging(found, told) == (found, told)  # RK4 tells it worse
+    told = module._search(base, lambda *_: None)
+    assert (told.numerics.timestep, told.numerics.integrator, told.effects) == (0.004, "Euler", ())
 
 
 def test_missing_physics_is_not_blamed_on_the_timestep(tmp_path):
