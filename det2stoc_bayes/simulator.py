@@ -59,7 +59,7 @@ class Simulator:
     @property
     def integrator(self) -> str:
         """The believed one, as MJCF spells it."""
-        name = mujoco.mjtIntegrator(self.model.opt.integrator).name.removeprefix("mjINT_")
+        name = str(mujoco.mjtIntegrator(self.model.opt.integrator).name).removeprefix("mjINT_")
         return {"EULER": "Euler", "RK4": "RK4"}.get(name, name.lower())
 
     @property
