@@ -73,9 +73,11 @@ ROVER = """<mujoco><option timestep="0.002" integrator="implicitfast" cone="elli
     <geom name="caster" type="sphere" pos="-0.1 0 -0.04" size="0.02" mass="0.05" friction="0.01 0.005 0.0001"
       priority="1"/>
     <body name="wl" pos="0.05 0.1 0"><joint name="left" type="hinge" axis="0 1 0" damping="0.002"/>
-      <geom name="tyre_l" type="cylinder" euler="90 0 0" size="0.06 0.012" mass="0.2"/></body>
+      <geom name="tyre_l" type="cylinder" euler="90 0 0" size="0.06 0.012" mass="0.2"
+        friction="0.01 0.005 0.0001"/></body>
     <body name="wr" pos="0.05 -0.1 0"><joint name="right" type="hinge" axis="0 1 0" damping="0.002"/>
-      <geom name="tyre_r" type="cylinder" euler="90 0 0" size="0.06 0.012" mass="0.2"/></body></body></worldbody>
+      <geom name="tyre_r" type="cylinder" euler="90 0 0" size="0.06 0.012" mass="0.2"
+        friction="0.01 0.005 0.0001"/></body></body></worldbody>
   <actuator><motor name="ml" joint="left"/><motor name="mr" joint="right"/></actuator></mujoco>"""
 type Random = np.random.Generator
 type Command = Callable[[Random], Callable[[float], Float[np.ndarray, " controls"]]]

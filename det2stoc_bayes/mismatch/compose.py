@@ -140,12 +140,13 @@ class Composer:
     def _numerical(self) -> finding.Effect:
         numerics = self.judged.numerics
         assert numerics is not None
-        step, does = numerics.timestep, "converges" if numerics.integrator == "RK4" else "tells the recordings"
+        step = numerics.timestep
+        better = "tells what looks like recordings of such a simulation" if numerics.simulated else "converges"
         return finding.Effect(
             name="numerical_integration",
             element=finding.Element(kind="simulator", name="option"),
             law=CATALOGUE["numerical_integration"].law_text,
-            statement=f"The believed integration is too coarse: {numerics.integrator} at {step:g} s {does}.",
+            statement=f"The believed integration is too coarse: {numerics.integrator} at {step:g} s {better}.",
             probability=float(probabilities([numerics.gain], self.judged.found.num_candidates)[0]),
             explains=self.judged.numerics_share,
             recordings="all",

@@ -141,53 +141,61 @@ class _Search:
 
 
 def _search(before: Fit, progress: Progress) -> _Search:
-    """By all candidates, at a timestep that converges.
+    """By all candidates, at a timestep that converges, or by the steps of what was recorded of a simulation.
 
     What is missing may hide from the believed model how far its steps err: that is asked for once more beside the
     effect that explains most, and beside all that was found.
     """
     pool, looks = candidates(before.problem), Looks(progress)
-    step = float(before.problem.simulator.model.opt.timestep)
+    step, count = float(before.problem.simulator.model.opt.timestep), len(pool)
 
     def leader(fit: Fit, looks: Looks) -> Fit:
         ranked = [] if by_chance(fit) else looks.at(fit, pool).ranked
-        return looks.extended(ranked[0].fit) if ranked and ranked[0].gain >= threshold(len(pool)) else fit
+        return looks.extended(ranked[0].fit) if ranked and ranked[0].gain >= threshold(count) else fit
 
-    def at(numerics: Numerics) -> _Search:
-        looks = Looks(progress)
-        told = as_simulated(numerics, numerics.fit) or as_simulated(numerics, leader(numerics.fit, looks))
-        if told is not None:
-            numerics, looks = told, Looks(progress)
+    def as_simulated(fit: Fit, gained: float, looks: Looks | None) -> Numerics | None:
+        told = simulated(fit, step, count, gained)
+        if told is None or looks is None:
+            return told
+        rival = leader(fit, looks)  # a late sensor looks like an error of steps, to first order
+        better = rival is not fit and by_chance(rival) and _tells_more(rival, looks.extended(told.fit))
+        return None if better else told
+
+    def by(numerics: Numerics, looks: Looks) -> _Search:
         return _Search(numerics, explain_by_all(numerics.fit, pool, looks), pool, looks)
 
-    def beside(fit: Fit) -> Numerics | None:
-        missed = bool(fit.problem.effects) and fit.noise_inflation >= MODEL_ERROR
-        found = check_numerics(fit, step, len(pool)) if missed else None
-        return None if found is None else as_simulated(found, found.fit) or of_believed(found, before)
+    def at(numerics: Numerics, looks: Looks) -> _Search:
+        first = numerics.fit if numerics.simulated else leader(numerics.fit, looks)
+        told = None if first is numerics.fit else as_simulated(first, numerics.gain, looks)
+        told = None if told is None else of_believed(told, before)
+        return by(numerics, looks) if told is None else by(told, Looks(progress))
 
-    def as_simulated(numerics: Numerics, fit: Fit) -> Numerics | None:
-        told = simulated(fit, step)
-        return None if told is None else of_believed(_by_steps_of(told, numerics), before)
+    def beside(fit: Fit, looks: Looks | None) -> Numerics | None:
+        if not fit.problem.effects or fit.noise_inflation < MODEL_ERROR:
+            return None
+        found = check_numerics(fit, step, count)
+        if found is None:
+            found = as_simulated(fit, 0.0, looks)
+        else:
+            found = as_simulated(found.fit, found.gain, None if looks is None else Looks(progress)) or found
+        return None if found is None else of_believed(found, before)
 
-    numerics = check_numerics(before, step, len(pool))
+    numerics = check_numerics(before, step, count)
+    converged, own = (before, looks) if numerics is None else (numerics.fit, Looks(progress))
+    told = as_simulated(converged, 0.0 if numerics is None else numerics.gain, own)
+    if told is not None:
+        return by(told, Looks(progress))
     if numerics is not None:
-        return at(numerics)
+        return at(numerics, own)
     first = leader(before, looks)
-    numerics = beside(first)
+    numerics = beside(first, looks)
     if numerics is not None:
-        return at(numerics)
+        return at(numerics, Looks(progress))
     plain = _Search(None, explain_by_all(before, pool, looks), pool, looks)
     after = plain.found.after
-    numerics = None if after is first else beside(after)
-    again = plain if numerics is None else at(numerics)
+    numerics = None if after is first else beside(after, None)
+    again = plain if numerics is None else at(numerics, Looks(progress))
     return again if _tells_more(again.found.after, after) else plain
-
-
-def _by_steps_of(fit: Fit, numerics: Numerics) -> Numerics:
-    """What is told of the believed steps, by those of another fit."""
-    step, integrator = fit.problem.timestep, fit.problem.integrator
-    assert step is not None and integrator is not None
-    return replace(numerics, timestep=step, integrator=integrator)
 
 
 def _tells_more(fit: Fit, other: Fit) -> bool:

@@ -14,6 +14,7 @@ from det2stoc_bayes.problem import Finer, Problem
 FINE = 4  # times finer, by RK4: the reference
 RATIOS = (1, 2, 4)  # timesteps tried for "what converges", coarsest first
 SHORTER = (2, 4, 5, 8, 10, 16)  # times: steps of the believed integrator by which recordings may have been simulated
+LITTLE = 0.05  # of what a fit leaves beyond the noise, the most that steps of what was recorded leave
 NEAR = 50.0  # nats behind the best within which an error of integration may decide in any case
 MOST_COMPARED = 5
 NEGLIGIBLE = 4.0  # whitened squared change of all samples that no evidence could come from
@@ -23,13 +24,15 @@ NEGLIGIBLE = 4.0  # whitened squared change of all samples that no evidence coul
 class Numerics:
     """A timestep and integrator that converge, what they gain in evidence, and the believed model's fit under them.
 
-    Where they were found beside effects the gain is that there.
+    Where they were found beside effects the gain is that there. `simulated`: they do not converge, but are those by
+    which what was recorded seems to have been simulated.
     """
 
     timestep: float
     integrator: str
     gain: float
     fit: Fit
+    simulated: bool = False
 
 
 def check_numerics(fit: Fit, timestep: float, num_candidates: int) -> Numerics | None:
@@ -46,22 +49,29 @@ def check_numerics(fit: Fit, timestep: float, num_candidates: int) -> Numerics |
     return Numerics(step, integrator, gain, better) if gain > threshold(num_candidates) else None
 
 
-def simulated(fit: Fit, timestep: float) -> Fit | None:
-    """The same hypothesis by shorter steps of the believed integrator, where these leave but chance; else None.
+def simulated(fit: Fit, timestep: float, num_candidates: int, gained: float = 0.0) -> Numerics | None:
+    """The same hypothesis by shorter steps of the believed integrator, where these leave next to nothing; else None.
 
-    What was recorded of another simulation has that one's error, which no converged one has.
+    What was recorded of another simulation has that one's error, which no converged one has. `gained` is what the
+    steps of the fit gain already. Which ones serve is foretold to first order, and whether they do by a fit.
     """
     if by_chance(fit):
         return None
-    own = fit.problem.simulator.integrator
-    here = _predicted(fit)
+    own, here = fit.problem.simulator.integrator, _predicted(fit)
     left = {n: _chi2_with(fit, here, _predicted(fit, timestep / n, own)) for n in SHORTER}
     times = min(left, key=left.__getitem__)
     noise = fit.problem.measurement.mean_square * fit.linear.degrees_of_freedom
-    if left[times] >= min(MODEL_ERROR * noise, 0.5 * (fit.chi2 + noise)):
+    if left[times] >= 0.5 * (fit.chi2 + noise):
         return None
     found = by_steps(fit, timestep / times, own)
-    return found if found is not None and by_chance(found) else None
+    if found is None:
+        return None
+    beyond = found.noise_inflation - 1
+    little = found.noise_inflation < MODEL_ERROR and beyond < LITTLE * (fit.noise_inflation - 1)
+    share = effective_share(found)
+    gain = gained + log_evidence(found, share) - log_evidence(fit, share)
+    told = (little or by_chance(found)) and gain > threshold(num_candidates)
+    return Numerics(timestep / times, own, gain, found, simulated=True) if told else None
 
 
 def by_steps(fit: Fit, timestep: float | None, integrator: str | None) -> Fit | None:
@@ -76,11 +86,15 @@ def of_believed(found: Numerics, believed: Fit) -> Numerics | None:
 
 
 def converging(fit: Fit, numerics: Numerics | None) -> tuple[Fit, Numerics | None]:
-    """A fit at a finer step, and what is told of that, by steps that converge for this very fit over its stretches."""
+    """A fit at a finer step, and what is told of that, by steps that converge for this very fit over its stretches.
+
+    Those by which what was recorded was simulated stay.
+    """
     step = fit.problem.timestep
-    found = None if step is None else _converged(fit, step, _moved)
+    kept = step is None or (numerics is not None and numerics.simulated)
+    found = None if step is None or kept else _converged(fit, step, _moved)
     better = None if found is None else by_steps(fit, found[0], found[1])
-    if found is None or better is None or (by_chance(fit) and not by_chance(better)):  # as what was recorded has it
+    if found is None or better is None:
         return fit, numerics
     if numerics is not None:
         plain = by_steps(numerics.fit, found[0], found[1]) or numerics.fit
@@ -160,7 +174,7 @@ def _converged(
 
 
 def _at(fit: Fit, timestep: float | None, integrator: str | None) -> Problem:
-    return replace(fit.problem, timestep=timestep, integrator=integrator)
+    return replace(fit.problem, timestep=timestep, integrator=integrator, finer=None)
 
 
 def _predicted(fit: Fit, timestep: float | None = None, integrator: str | None = None) -> np.ndarray:
@@ -191,8 +205,8 @@ def _promise(fit: Fit, shift: Float[np.ndarray, "segments samples columns"]) -> 
 
 
 def _chi2_with(fit: Fit, here: np.ndarray, there: np.ndarray) -> float:
-    """What another prediction leaves to first order; infinite where it diverges."""
-    if not np.isfinite(there).all():
+    """What another prediction leaves to first order; infinite where one diverges."""
+    if not (np.isfinite(here).all() and np.isfinite(there).all()):
         return np.inf
     r = fit.linear.latent.project(fit.linear.stacked)[..., 0]
     return fit.chi2 + _unabsorbed(fit, r - _difference(fit, here, there)) - _unabsorbed(fit, r)

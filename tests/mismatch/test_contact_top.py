@@ -101,6 +101,24 @@ def test_the_covariance_is_that_of_estimates():
     assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.25
 
 
+class Kinked(Rough):
+    """Of the second unknown nothing shows within 1.7 prior sds, and much beyond."""
+
+    def errors(self, z):
+        beyond = z * [1.0, 0.0]
+        kink = 3.0 * np.maximum(z[:, 1] - 1.7, 0.0)
+        return super().errors(beyond) - kink[:, None, None, None]
+
+
+def test_an_unknown_of_which_nothing_shows_stays_though_far_off_something_does():
+    model = Kinked(0, 0.0)
+    for start in ([TRUTH[0], 0.0], [TRUTH[0], 0.4]):
+        fit = at(model, np.array(start))
+        found = topped(fit, np.random.default_rng(0))
+        assert found.z[1] == start[1] and found.covariance[1, 1] == pytest.approx(1.0, abs=0.05)
+        assert found.z[0] != start[0] and found.covariance[0, 0] < 0.02
+
+
 def test_nothing_is_looked_for_without_unknowns():
     class Fixed(Rough):
         size, num_psi, floor = 0, 0, np.zeros(0)

@@ -1,5 +1,6 @@
 """The diagnosis of a study in which bodies touch."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -47,18 +48,25 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
     rod: Yardstick | None = None  # of the base, where that is at its top
 
     @cache
-    def told(pair: Pair) -> tuple[Pair, Yardstick]:
+    def top_of(pair: Pair) -> tuple[Pair, Yardstick]:
         progress("measuring what is left", 0, 1)
         top = _measured(_by_steps_that_tell(pair), seed)
         progress("measuring what is left", 1, 1)
         return top
 
-    def little(believed: Pair, taken: Pair) -> bool:
-        final, rod = told(taken)
-        return surely_little(_by_steps_of(final, believed), final, rod)
+    by_steps_of = cache(_by_steps_of)
 
-    def matters(believed: Pair, taken: Pair) -> bool:
-        return bool(rounds) or not little(believed, taken)
+    def little(believed: Pair, taken: Pair) -> bool:
+        final, scale = top_of(taken)
+        return surely_little(by_steps_of(final, believed), final, scale)
+
+    def matters(believed: Pair, taken: Pair, near: Sequence[Pair]) -> bool:
+        if rounds or not little(believed, taken):
+            return True
+        _, scale = top_of(taken)
+        memory = taken.fit.followed.memory
+        plain, others = with_memory(believed, memory), (with_memory(p, memory) for p in near if p is not taken)
+        return any(scale.most_gained(plain, other) >= NEGLIGIBLE for other in others)
 
     while len(rounds) < MAX_EFFECTS:
         one = look(base, pool, progress, seed, matters) if pool else Round(base, (), (), None)
@@ -67,13 +75,14 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
             rod = rod if one.base is base else None
             base = one.base
             break
-        base, rod = told(one.taken)
+        base, rod = top_of(one.taken)
         if one.rivals and classes(one, np.random.default_rng(seed))[0].chance < SURE:
             break  # what else is missing depends on which of them it is
-        if _settled(rounds[0].base, base, rod) or (len(rounds) == 1 and little(one.base, one.taken)):
+        first_is_little = len(rounds) == 1 and one.leader is None and little(one.base, one.taken)
+        if first_is_little or _settled(rounds[0].base, base, rod):
             break
     progress("scoring held-out recordings", 0, 1)
-    before = _by_steps_of(base, rounds[0].base)
+    before = by_steps_of(base, rounds[0].base)
     if rod is None:
         alone = base is rounds[0].base
         base, rod = _measured(base, seed)

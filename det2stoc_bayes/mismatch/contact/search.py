@@ -63,13 +63,13 @@ def look(
     pool: Sequence[PlacedEffect],
     progress: Progress,
     seed: int = 0,
-    matters: Callable[[Pair, Pair], bool] = lambda *_: True,
+    matters: Callable[[Pair, Pair, Sequence[Pair]], bool] = lambda *_: True,
 ) -> Round:
     """Screen all, fit the few best, and take the best if recordings that were not fitted ask for it.
 
     The base goes beyond its bumps first, and to where its best addition leads it: neither is an addition's merit. A
     leader's rivals are looked for once more where it ended, for psi is another there. Where simulations rattle, who
-    is surely likelier by recordings of its own is taken in its place, if what was taken `matters` beside the base.
+    is surely likelier by recordings of its own is taken in its place, if it or who is near it `matters`.
     """
     others = [p for p in pool if p not in base.fit.problem.effects]
     progress("measuring bumps", 0, 1)
@@ -106,7 +106,7 @@ def look(
         first = as_the_best(best_of_each([short[p.placed] for p in found]), luck)
         if first[0].placed == found[0].placed and earns(base, first[0], needed, chance):
             found, taken = first, first[0]
-    if taken is None or not rattles(base.fit) or not matters(base, taken):
+    if taken is None or not rattles(base.fit) or not matters(base, taken, _near(base, found)):
         return Round(base, tuple(screened), tuple(found), taken, luck)
     weighed = rivals(taken, found, there, latest, luck, seed, progress)
     leader, tried = None, best_of_each([*found, *(r.pair for r in weighed)])

@@ -21,6 +21,7 @@ ROUNDS = 2
 STILL, ALIKE = 0.5, 0.5  # sds that a round leads, and of the sharpness before: by less, and to more, it is the last
 FARTHEST = 3.0  # sds that a round may lead
 LUCKY = 3.0  # times the bumps: what is told so much worse is not the top
+UNTOLD = 1e-3  # of the prior's curvature, the most that recordings add of which they say nothing
 BLUNTEST = 0.05  # each way, of what the round before says
 RIGHT = 0.7  # sharpness where sensitivities are right: reweighting takes errors for Gaussian
 
@@ -49,8 +50,12 @@ def topped(fit: ContactFit, random: np.random.Generator) -> ContactFit:
 
 
 def _ways(fit: ContactFit) -> Float[np.ndarray, "size free"]:
-    """By which draws of unit variance are scattered as unknowns are; where a region ends stays: it has no curvature."""
+    """By which draws of unit variance are scattered as unknowns are.
+
+    Where a region ends stays, for it has no curvature, and what recordings say nothing of there: it may further off.
+    """
     free = free_unknowns(fit)
+    free = free[(fit.told**2).sum((0, 1))[free] > UNTOLD] if len(free) else free
     ways = np.zeros((len(fit.z), len(free)))
     if len(free):
         ways[free] = sds(fit.gram[np.ix_(free, free)])

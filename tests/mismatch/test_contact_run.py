@@ -1,0 +1,66 @@
+"""How looks for additions follow each other where bodies touch, and where they end."""
+
+import numpy as np
+import pytest
+from conftest import make_study
+from sliding import PSI, XML, slides
+
+from det2stoc_bayes.mismatch.candidates import candidates
+from det2stoc_bayes.mismatch.contact import run
+from det2stoc_bayes.mismatch.contact.fit import at
+from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.mismatch.contact.pair import Pair
+from det2stoc_bayes.mismatch.contact.scales import Scales
+from det2stoc_bayes.mismatch.contact.search import Round
+from det2stoc_bayes.mismatch.contact.yardstick import Yardstick
+from det2stoc_bayes.problem import make_problem
+from det2stoc_bayes.simulator import Simulator
+
+
+class Judged(Exception):
+    """The rounds are over."""
+
+
+@pytest.mark.parametrize(
+    ("little", "other_gains", "replaced", "num_looks"),
+    [(False, 0.0, False, 3), (True, 0.0, False, 1), (True, 0.2, False, 1), (True, 0.0, True, 3)],
+)
+def test_a_first_addition_that_surely_takes_little_off_ends_it(
+    tmp_path, monkeypatch, little, other_gains, replaced, num_looks
+):
+    """And has no rivals, unless who is near it takes more off; if it took a leader's place the looks go on."""
+    problem = make_problem(Simulator(make_study(tmp_path / "study", XML.format(0.02), PSI, slides()), num_threads=1))
+    few = Followed(problem).on(problem.simulator.study.recordings[:1])
+    placed = candidates(problem)[:1]
+
+    def pair() -> Pair:
+        fit = at(few.with_problem(few.problem.with_effects(tuple(placed))), np.zeros(1 + placed[0].size))
+        return Pair(fit, fit)
+
+    base, taken, other = at(few, np.zeros(1)), pair(), pair()
+    base = Pair(base, base)
+    rod = Yardstick((), Scales(np.ones(few.shape[-1])), 1.0, 0)
+    asked, ends = [], []
+
+    def look(before, pool, progress, seed, matters):
+        asked.append(matters(before, taken, [taken, other]))
+        return Round(before, (), (taken,), taken, leader=other if replaced else None)
+
+    def judged(before, rounds, *_):
+        ends.append(rounds)
+        raise Judged
+
+    monkeypatch.setattr(run, "fit_believed", lambda _: base)
+    monkeypatch.setattr(run, "look", look)
+    monkeypatch.setattr(run, "judged", judged)
+    monkeypatch.setattr(run, "_by_steps_that_tell", lambda p: p)
+    monkeypatch.setattr(run, "_by_steps_of", lambda _, p: p)
+    monkeypatch.setattr(run, "_measured", lambda p, _: (p, rod))
+    monkeypatch.setattr(run, "_settled", lambda *_: False)
+    monkeypatch.setattr(run, "with_memory", lambda p, _: p)
+    monkeypatch.setattr(run, "surely_little", lambda *_: little)
+    monkeypatch.setattr(Yardstick, "most_gained", lambda *_: other_gains)
+    with pytest.raises(Judged):
+        run.diagnosed(problem, 0, lambda *_: None)
+    assert len(asked) == len(ends[0]) == num_looks
+    assert asked[0] is (not little or other_gains > 0) and all(asked[1:])
