@@ -185,7 +185,7 @@ SCENES = {
     ),
     "ball": Scene(BALL, SOCKET, 3.0, swung, truncated("damping", "joint/socket/damping", 0.01, 0.003)),
     "finger": Scene(
-        FINGER, ("qpos/mcp", "qpos/pip", "qvel/mcp", "qvel/pip", "ctrl/servo"), 2.0, bent,
+        FINGER, (*hinged("mcp", "pip"), "ctrl/servo"), 2.0, bent,
         truncated("stiffness", "joint/pip/stiffness", 0.15, 0.03), swaying(1, 0.0, 0.015),
     ),
     "marble": Scene(

@@ -90,9 +90,10 @@ def converging(fit: Fit, numerics: Numerics | None) -> tuple[Fit, Numerics | Non
 
     Those by which what was recorded was simulated stay.
     """
+    if numerics is not None and numerics.simulated:
+        return fit, numerics
     step = fit.problem.timestep
-    kept = step is None or (numerics is not None and numerics.simulated)
-    found = None if step is None or kept else _converged(fit, step, _moved)
+    found = None if step is None else _converged(fit, step, _moved)
     better = None if found is None else by_steps(fit, found[0], found[1])
     if found is None or better is None:
         return fit, numerics

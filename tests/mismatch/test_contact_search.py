@@ -169,9 +169,8 @@ def test_what_a_rivals_own_recordings_would_say_leaves_a_lead_no_name(followed, 
         assert first.members == ((wrong,) if earns else (right,)) and first.chance > 0.9 - 0.89 * (not earns)
     told = []
     one = search.look(base, pool, quiet, 0, lambda *pairs: bool(told.append(pairs)))
-    assert (
-        told == [(base, right, [right])] and one.taken is right and one.rivals == ()
-    )  # what does not matter has no rivals
+    assert told == [(base, right, [right])]
+    assert one.taken is right and one.rivals == ()  # what does not matter has no rivals
     monkeypatch.setattr(search, "rattles", lambda _: False)
     assert search.look(base, pool, quiet).rivals == ()
 
