@@ -5,10 +5,11 @@ import logging
 import signal
 import sys
 import warnings
+from _thread import interrupt_main
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Event, current_thread, main_thread
+from threading import Event, Timer, current_thread, main_thread
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -57,19 +58,34 @@ def reporting(debug: bool) -> Iterator["det2stoc_bayes.progress.Stages"]:
 
 @contextmanager
 def _interrupting(interrupted: Event) -> Iterator[None]:
-    """Remembers a Ctrl-C or a scheduler's SIGTERM: a library makes an error of its own of a KeyboardInterrupt."""
+    """Remembers a Ctrl-C or a scheduler's SIGTERM: a library makes an error of its own of a KeyboardInterrupt.
+
+    One raised where Python can only drop it (a finalizer, a callback of the garbage collector) is raised again.
+    """
+    raised_again: list[Timer] = []
 
     def note(*_: Any) -> None:
         interrupted.set()
         raise KeyboardInterrupt
 
+    def lost(dropped: "sys.UnraisableHookArgs") -> None:
+        if issubclass(dropped.exc_type, KeyboardInterrupt):
+            raised_again.append(Timer(0.05, interrupt_main))
+            raised_again[-1].start()
+        else:
+            before_hook(dropped)
+
     if current_thread() is not main_thread():
         yield
         return
     before = {sent: signal.signal(sent, note) for sent in (signal.SIGINT, signal.SIGTERM)}
+    before_hook, sys.unraisablehook = sys.unraisablehook, lost
     try:
         yield
     finally:
+        for timer in raised_again:
+            timer.cancel()
+        sys.unraisablehook = before_hook
         for sent, handler in before.items():
             signal.signal(sent, handler)
 

@@ -1,5 +1,6 @@
 """The command line: what goes to which stream, exit codes, and that nothing is written after an error."""
 
+import gc
 import json
 import os
 import shlex
@@ -20,7 +21,7 @@ from conftest import HINGE, make_study, model_xml
 from rich.console import Console
 from typer.testing import CliRunner
 
-from det2stoc_bayes import cli, identifiability, progress, verbs, verbs_calibrate
+from det2stoc_bayes import cli, identifiability, progress, streams, verbs, verbs_calibrate
 from det2stoc_bayes.cli_help import EXAMPLES
 from det2stoc_bayes.errors import StudyError
 from det2stoc_bayes.identifiability import check
@@ -313,6 +314,21 @@ def test_an_interruption_is_one_line(study, sent):
     assert error == "interrupted\n"
     assert not out
     assert not (study / "never").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGINT to send")
+def test_an_interruption_lost_in_a_callback_of_the_garbage_collector_is_raised_again(capfd):
+    def interrupt(phase, _):
+        if phase == "start":
+            gc.callbacks.remove(interrupt)
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(typer.Exit) as left, streams.reporting(debug=False):
+        gc.callbacks.append(interrupt)
+        gc.collect()
+        time.sleep(10)
+    assert left.value.exit_code == 130
+    assert capfd.readouterr().err == "interrupted\n"
 
 
 def test_an_interruption_that_a_library_lost_ends_the_work_at_its_next_report():
