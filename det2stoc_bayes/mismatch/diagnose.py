@@ -170,21 +170,19 @@ def _search(before: Fit, progress: Progress) -> _Search:
         told = None if told is None else of_believed(told, before)
         return by(numerics, looks) if told is None else by(told, Looks(progress))
 
+    def error_at(fit: Fit, looks: Looks | None) -> tuple[Numerics | None, Looks]:
+        found = check_numerics(fit, step, count)
+        own = looks if found is None or looks is None else Looks(progress)
+        told = as_simulated(fit, 0.0, own) if found is None else as_simulated(found.fit, found.gain, own)
+        return (told, Looks(progress)) if told is not None else (found, own or Looks(progress))
+
     def beside(fit: Fit, looks: Looks | None) -> Numerics | None:
         if not fit.problem.effects or fit.noise_inflation < MODEL_ERROR:
             return None
-        found = check_numerics(fit, step, count)
-        if found is None:
-            found = as_simulated(fit, 0.0, looks)
-        else:
-            found = as_simulated(found.fit, found.gain, None if looks is None else Looks(progress)) or found
+        found, _ = error_at(fit, looks)
         return None if found is None else of_believed(found, before)
 
-    numerics = check_numerics(before, step, count)
-    converged, own = (before, looks) if numerics is None else (numerics.fit, Looks(progress))
-    told = as_simulated(converged, 0.0 if numerics is None else numerics.gain, own)
-    if told is not None:
-        return by(told, Looks(progress))
+    numerics, own = error_at(before, looks)
     if numerics is not None:
         return at(numerics, own)
     first = leader(before, looks)

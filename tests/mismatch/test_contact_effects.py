@@ -1,7 +1,7 @@
 """Effects of contact: both of their forms move alike in the engine and in a plain loop, and as physics has it."""
 
 from dataclasses import replace
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -11,7 +11,6 @@ from conftest import blank_recording, make_study, state_columns
 from det2stoc_bayes.engines import contacts
 from det2stoc_bayes.engines.base import EffectRows, Request, Start
 from det2stoc_bayes.mismatch.effects import CATALOGUE, PlacedEffect, Typical
-from det2stoc_bayes.mismatch.effects.anisotropic import directed, share_along
 from det2stoc_bayes.mismatch.patch import make_patch
 from det2stoc_bayes.segments import cut
 from det2stoc_bayes.simulator import Simulator
@@ -155,7 +154,8 @@ def test_a_direction_is_where_two_trials_add_up(tmp_path):
     speeds = np.stack([np.cos(ways), np.sin(ways), 0 * ways], -1)
 
     def change(p):
-        friction = directed({**p, "share": share_along(p, speeds, np)}, np.ones((9, 3)), None, None, np)[0]
+        moment = effect.moment(p, {}, SimpleNamespace(v=speeds), None, np)
+        friction = effect.changed({**p, "moment": moment}, np.ones((9, 3)), None, None, np)[0]
         return friction[:, 0] - 1
 
     columns = np.stack([*(change({n: np.full(9, v) for n, v in c.items()}) for c in trial.columns), np.ones(9)], 1)

@@ -1,5 +1,7 @@
 """Concealed laws of contact, written on the geom of a pair that rests more: it outranks the other one."""
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 
@@ -70,33 +72,38 @@ def _viscous(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
     return rub
 
 
-def _patch(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
-    """Another friction while the moving body's frame is beyond a plane."""
+def _rubbing(model: mujoco.MjModel, element: str, ratio: Callable[[mujoco.MjData, int], float]) -> Force:
+    """A friction of the moment, `ratio` times the usual one, by the state of the moving body's joint."""
     mover, _ = geoms_of(model, element)
     still = _outrank(model, element)
     usual, joint = float(model.geom_friction[still, 0]), int(model.body_jntadr[model.geom_bodyid[mover]])
-    at = int(model.jnt_qposadr[joint])
-    point, normal = np.asarray(p["point"]), np.asarray(p["normal"])
 
     def rub(data: mujoco.MjData, t: float) -> None:
-        beyond = (data.qpos[at : at + 3] - point) @ normal > 0.0
-        model.geom_friction[still, 0] = usual * (p["ratio"] if beyond else 1.0)
+        model.geom_friction[still, 0] = usual * ratio(data, joint)
 
     return rub
+
+
+def _patch(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
+    """Another friction while the moving body's frame is beyond a plane."""
+    point, normal = np.asarray(p["point"]), np.asarray(p["normal"])
+
+    def ratio(data: mujoco.MjData, joint: int) -> float:
+        at = int(model.jnt_qposadr[joint])
+        return p["ratio"] if (data.qpos[at : at + 3] - point) @ normal > 0.0 else 1.0
+
+    return _rubbing(model, element, ratio)
 
 
 def _grained(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
     """A friction that turns with the way of the moving body: `ratio` times as much along the grain as across it."""
-    mover, _ = geoms_of(model, element)
-    still = _outrank(model, element)
-    usual, joint = float(model.geom_friction[still, 0]), int(model.body_jntadr[model.geom_bodyid[mover]])
-    at = int(model.jnt_dofadr[joint])
 
-    def rub(data: mujoco.MjData, t: float) -> None:
+    def ratio(data: mujoco.MjData, joint: int) -> float:
+        at = int(model.jnt_dofadr[joint])
         angle = np.arctan2(data.qvel[at + 1], data.qvel[at]) - p["direction"]
-        model.geom_friction[still, 0] = usual * np.hypot(p["ratio"] * np.cos(angle), np.sin(angle))
+        return float(np.hypot(p["ratio"] * np.cos(angle), np.sin(angle)))
 
-    return rub
+    return _rubbing(model, element, ratio)
 
 
 def _draw_region(rng: np.random.Generator, scene: Scene, element: str) -> Parameters:

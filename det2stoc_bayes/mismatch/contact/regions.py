@@ -15,7 +15,8 @@ from det2stoc_bayes.mismatch.contact.evolution import evolved
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import BLOCK, FARTHEST
 from det2stoc_bayes.mismatch.effects.base import PlacedEffect
-from det2stoc_bayes.mismatch.effects.contact import LEAST, FrictionError, FrictionPatch
+from det2stoc_bayes.mismatch.effects.contact import LEAST, FrictionError
+from det2stoc_bayes.mismatch.effects.momentary_friction import FrictionPatch
 
 RATIOS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.8, 2.4)  # of the friction
 NUM_TURNS = 24  # directions of a normal on the ground

@@ -2,34 +2,27 @@
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, normal
-from det2stoc_bayes.mismatch.effects.contact import GEOM, LEAST, MIXED, PAIR, rewritten, rewritten_pair, slid
+from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, normal
+from det2stoc_bayes.mismatch.effects.contact import LEAST, slid
+from det2stoc_bayes.mismatch.effects.momentary_friction import MomentaryFriction
 from det2stoc_bayes.priors import Prior
 
 LITTLE = 1.004  # a ratio to screen by, 1 % of its prior's sd from none
 QUARTER = np.pi / 4  # between two directions whose mixtures are all others
 
 
-class AnisotropicFriction(Effect):
+class AnisotropicFriction(MomentaryFriction):
     """Sliding friction is another along one direction of the ground than across it.
 
     Its size is that of an ellipse of frictions (Zmitrowicz, 1981); it acts against the motion, and not aside from it.
     """
 
-    name, kind = "anisotropic_friction", "contact"
+    name = "anisotropic_friction"
     law = r"\mu\sqrt{\rho^2\cos^2\varphi+\sin^2\varphi}"
     law_text = "mu sqrt(ratio^2 cos^2 + sin^2) of the angle from the direction (world x towards y) to the motion"
     noun = "A friction of other size along a direction"
     parameters = (EffectParameter("ratio", "1", absent=1.0), EffectParameter("direction", "rad"))
-    needs = frozenset({"free", "named"})
-    writes = GEOM
-    reads = MIXED
-    in_mjx_fields = False
     complexity = 3
-
-    def forms(self):
-        """For geoms, and for pairs that the model lists."""
-        return (self, PairedAnisotropicFriction())
 
     def priors(self, typical):
         """Around 1; anywhere within half a turn, which is all that there is."""
@@ -45,28 +38,11 @@ class AnisotropicFriction(Effect):
         size = float(np.hypot(along, diagonal)) * (LITTLE - 1)
         return {"ratio": 1.0 + size, "direction": 0.5 * float(np.arctan2(diagonal, along))}
 
-    def momentary(self, p, fields, s, at, xp):
-        """The contact's sliding friction for the step that begins."""
-        return rewritten(directed, {**p, "share": share_along(p, s.v, xp)}, fields, at, xp)
+    def moment(self, p, fields, s, at, xp):
+        """Squared cosine of the angle between the direction and the motion over the ground."""
+        along = s.v[..., 0] * xp.cos(p["direction"]) + s.v[..., 1] * xp.sin(p["direction"])
+        return along**2 / xp.maximum(s.v[..., 0] ** 2 + s.v[..., 1] ** 2, LEAST**2)
 
-
-def share_along(p, v, xp):
-    """Squared cosine of the angle between the direction and the motion over the ground."""
-    along = v[..., 0] * xp.cos(p["direction"]) + v[..., 1] * xp.sin(p["direction"])
-    return along**2 / xp.maximum(v[..., 0] ** 2 + v[..., 1] ** 2, LEAST**2)
-
-
-def directed(p, friction, solref, dim, xp):
-    """Sliding friction by the way of the motion."""
-    return slid(friction, xp.sqrt(1 + (p["ratio"] ** 2 - 1) * p["share"]), xp), solref, dim
-
-
-class PairedAnisotropicFriction(AnisotropicFriction):
-    """The same for a pair that the model lists."""
-
-    needs = frozenset({"free", "named", "paired"})
-    writes, reads = PAIR, ()
-
-    def momentary(self, p, fields, s, at, xp):
-        """The pair's sliding friction for the step that begins."""
-        return rewritten_pair(directed, {**p, "share": share_along(p, s.v, xp)}, fields, at, xp)
+    def changed(self, p, friction, solref, dim, xp):
+        """Sliding friction by the way of the motion."""
+        return slid(friction, xp.sqrt(1 + (p["ratio"] ** 2 - 1) * p["moment"]), xp), solref, dim

@@ -5,6 +5,8 @@ priority, so that its parameters are the contact's, and these start as MuJoCo co
 frictions, the mean of the rest weighted by solmix.
 """
 
+from functools import cache
+
 import numpy as np
 
 from det2stoc_bayes.mismatch.effects.base import Effect, EffectParameter, Trial, around
@@ -17,11 +19,10 @@ LEAST = 1e-5  # as MuJoCo has it: a friction of 0 is none
 RATIOS, SPREAD = (1.1, 2.0, 1 / 1.5), 0.5  # of solref's numbers: those that are tried, and the sd of their logarithm
 
 
-class ContactEffect(Effect):
-    """Base: fields of a contact, as `changed(p, friction, ...)` has them; friction is sliding, turning, rolling."""
+class OnContact(Effect):
+    """Base: another contact, as `changed(p, friction, ...)` has it; friction is sliding, turning, rolling."""
 
     kind = "contact"
-    changes = (*GEOM, *MIXED)
     in_mjx_fields = False
 
     def forms(self):
@@ -32,29 +33,43 @@ class ContactEffect(Effect):
         """Friction (..., 3), solref (..., 2) and dimensions (...) with the effect."""
         raise NotImplementedError
 
-    def fields(self, p, fields, at, xp):
+    def written(self, p, fields, at, xp):
         """The contact's own parameters."""
-        if "pair_friction" in fields:
-            return rewritten_pair(self.changed, p, fields, at, xp)
         return rewritten(self.changed, p, fields, at, xp)
 
 
+class OfListed(OnContact):
+    """What a form for pairs that the model lists writes instead."""
+
+    def written(self, p, fields, at, xp):
+        """The pair's parameters."""
+        return rewritten_pair(self.changed, p, fields, at, xp)
+
+
+@cache
 def _paired(form):
-    name = f"Paired{form.__name__}"
-    if form.__name__.startswith("Paired"):
+    """The form of an effect for listed pairs."""
+    if issubclass(form, OfListed):
         return form()
-    if name not in _FORMS:
-        more = {
-            "changes": PAIR,
-            "needs": form.needs | {"paired"},
-            "__doc__": form.__doc__,
-            "__module__": form.__module__,
-        }
-        _FORMS[name] = type(name, (form,), more)
-    return _FORMS[name]()
+    own = {
+        "needs": form.needs | {"paired"},
+        "changes": PAIR if form.changes else (),
+        "writes": PAIR if form.writes else (),
+        "reads": tuple(field for field in form.reads if field not in MIXED),
+        "__doc__": form.__doc__,
+        "__module__": form.__module__,
+    }
+    return type(f"Paired{form.__name__}", (OfListed, form), own)()
 
 
-_FORMS: dict[str, type] = {}
+class ContactEffect(OnContact):
+    """Base of those that are a contact's constants."""
+
+    changes = (*GEOM, *MIXED)
+
+    def fields(self, p, fields, at, xp):
+        """The contact's own parameters."""
+        return self.written(p, fields, at, xp)
 
 
 def rewritten(change, p, fields, at, xp):
@@ -204,83 +219,3 @@ class RestitutionError(SolrefEffect):
     def changed(self, p, friction, solref, dim, xp):
         """solref's second number."""
         return friction, xp.concatenate([solref[..., :1], p["damping_ratio"][..., None]], -1), dim
-
-
-class FrictionPatch(Effect):
-    """Beyond a plane the ground is rougher or smoother; what counts is where the moving body's frame is."""
-
-    name, kind, law_text = "friction_patch", "contact", "ratio mu where (x - point).normal > 0"
-    law, noun = r"\rho\,\mu \text{ where } (\mathbf x - \mathbf p)\cdot\mathbf n > 0", "A region of other friction"
-    parameters = (
-        EffectParameter("ratio", "1", absent=1.0),
-        EffectParameter("point", "m", size=3),
-        EffectParameter("normal", "1", size=3),
-    )
-    needs = frozenset({"free", "named"})
-    writes = GEOM
-    reads = MIXED
-    in_mjx_fields = False
-    complexity = 4
-
-    def forms(self):
-        """For geoms, and for pairs that the model lists."""
-        return (self, PairedFrictionPatch())
-
-    def priors(self, typical):
-        """Around 1; anywhere where the body was; any direction."""
-        places = np.array(typical.region) if typical.region else np.zeros((1, 3))
-        wide = float(max(places.std(0).max(), 1e-2))
-        return {
-            "ratio": Prior("Normal", {"loc": 1.0, "scale": 0.4}),
-            "point": Prior("Normal", {"loc": 0.0, "scale": float(np.abs(places).max()) + wide}),
-            "normal": Prior("Normal", {"loc": 0.0, "scale": 1.0}),
-        }
-
-    def from_normal(self, z, typical, xp=np):
-        """The normal has unit length."""
-        out = super().from_normal(z, typical, xp)
-        length = xp.sqrt(xp.sum(out["normal"] ** 2, -1))[..., None]
-        return out | {"normal": out["normal"] / xp.maximum(length, LEAST)}
-
-    def trials(self, typical):
-        """Planes across each axis and the diagonals of the ground, at several places."""
-        if not typical.region:
-            return []
-        places = np.array(typical.region)
-        flat = places[:, :2] - places[:, :2].mean(0)
-        turns = np.arange(4) * np.pi / 4
-        out = []
-        for turn in turns:
-            normal = np.array([np.cos(turn), np.sin(turn), 0.0])
-            along = flat @ normal[:2]
-            if np.ptp(along) < 0.2 * np.ptp(flat):
-                continue
-            for q in (0.25, 0.5, 0.75):
-                point = places.mean(0) + float(np.quantile(along, q)) * normal
-                out.append(Trial(({"ratio": 1.004, "point": tuple(point), "normal": tuple(normal)},)))
-        return out
-
-    def momentary(self, p, fields, s, at, xp):
-        """The contact's sliding friction for the step that begins."""
-        return rewritten(patched, {**p, "inside": beyond(p, s.q, xp)}, fields, at, xp)
-
-
-def beyond(p, place, xp):
-    """1 where a place is on the normal's side of the plane, else 0."""
-    return xp.where(xp.sum((place - p["point"]) * p["normal"], -1) > 0, 1.0, 0.0)
-
-
-def patched(p, friction, solref, dim, xp):
-    """Sliding friction times the ratio where the body is inside."""
-    return slid(friction, 1 + (p["ratio"] - 1) * p["inside"], xp), solref, dim
-
-
-class PairedFrictionPatch(FrictionPatch):
-    """The same for a pair that the model lists."""
-
-    needs = frozenset({"free", "named", "paired"})
-    writes, reads = PAIR, ()
-
-    def momentary(self, p, fields, s, at, xp):
-        """The pair's sliding friction for the step that begins."""
-        return rewritten_pair(patched, {**p, "inside": beyond(p, s.q, xp)}, fields, at, xp)
