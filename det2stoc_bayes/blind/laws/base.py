@@ -102,6 +102,13 @@ def direction(rng: np.random.Generator, scene: Scene, element: str) -> Parameter
     return {"axis": axis / np.linalg.norm(axis)}
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The product of two vectors of space; numpy's is for arrays of them, and many times as slow for two."""
+    out = np.zeros(3)
+    mujoco.mju_cross(out, a, b)
+    return out
+
+
 def is_free(model: mujoco.MjModel, body: str) -> bool:
     """Whether a body flies freely."""
     index = model.body(body).id

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from det2stoc_bayes.blind.laws.base import Force, Law, Parameters, Scene, direction, in_medium, is_free
+from det2stoc_bayes.blind.laws.base import Force, Law, Parameters, Scene, cross, direction, in_medium, is_free
 
 
 def _on_centre(formula: Callable[[float, np.ndarray, np.ndarray], np.ndarray]):
@@ -102,7 +102,7 @@ BODY_LAWS: dict[str, Law] = {
         lambda scene, body: scene.body[body]["force"] / (scene.body[body]["speed"] * scene.body[body]["spin"]),
         lambda m, drawn: {"coefficient": m},
         fits=lambda scene, body: is_free(scene.model, body),
-        push=_on_centre(lambda c, v, spin: c * np.cross(spin, v)),
+        push=_on_centre(lambda c, v, spin: c * cross(spin, v)),
     ),
     "payload_mass": Law(
         "body",

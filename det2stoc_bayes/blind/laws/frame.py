@@ -5,7 +5,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from det2stoc_bayes.blind.laws.base import Force, Law, Parameters, Scene, direction
+from det2stoc_bayes.blind.laws.base import Force, Law, Parameters, Scene, cross, direction
 from det2stoc_bayes.blind.laws.joint import draw_oscillation
 
 
@@ -42,15 +42,13 @@ def _turn(model: mujoco.MjModel, element: str, p: Parameters) -> Force:
     rate = np.array(p["rate"])
 
     def push(data: mujoco.MjData, t: float, body: int, velocity: np.ndarray, spin: np.ndarray) -> tuple:
-        force = -2.0 * np.cross(rate, velocity) - np.cross(rate, np.cross(rate, data.xipos[body]))
+        force = -2.0 * cross(rate, velocity) - cross(rate, cross(rate, data.xipos[body]))
         axes = data.ximat[body].reshape(3, 3)
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         # Each point feels -2 rate x (spin x r) - rate x (rate x r); integrals of r r' follow from the inertia.
         second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-        torque = np.zeros(3)
-        for scale, first, then in ((-2.0, rate, spin), (-1.0, rate, rate)):
-            # integral of r x (a x (b x r)) = -(b x) S a, with S the second moments, summed over points
-            torque += scale * -np.cross(then, second @ first)
+        # integral of r x (a x (b x r)) = -(b x) S a, with S the second moments, summed over points
+        torque = cross(2.0 * spin + rate, second @ rate)
         return model.body_mass[body] * force, torque
 
     return _on_everything(model, push)

@@ -39,6 +39,8 @@ LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less i
 MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
 NEAR = 0.3  # share of the best's gain behind which none comes near any more
 SO_HIGH = 10.0  # times as high as bumps: a lead that they do not turn
+CALM = 0.5  # of the height of the base's bumps: lower ones about an addition,
+MOST_FURTHER = 3  # times that it goes beyond them and on
 MAX_EFFECTS = 3
 LOOK_AGAIN = 30.0  # nats of a leader, whose rivals are looked for once more where it ended,
 MOVED = 0.1  # if psi has moved by so many prior sds there: else they promise what they did
@@ -94,7 +96,8 @@ def look(
     short = {p.placed: p for p in found}
     found = near_remembered(base, found, first_luck, progress)
     base = better_base(base, found, first_luck, longer=True)
-    found, luck = smoothed(base, found, first_luck, progress, seed)
+    found, luck = settled_anew(base, found, first_luck, progress, seed)
+    found = smoothed(base, found, luck, progress)
     if first_luck < BUMPY and found[0].gain(base) < SO_HIGH * luck:
         base = beyond_bumps(base, luck)
     chance = partial(gain_by_chance, base, [p.placed for p in found], seed, progress, luck)
@@ -230,12 +233,36 @@ def _near(base: Pair, found: Sequence[Pair]) -> list[Pair]:
     return [p for p in found if p.height <= found[0].height + max(NEAR * found[0].gain(base), LEAST_NEAR)]
 
 
-def smoothed(base: Pair, found: Sequence[Pair], luck: float, progress: Progress, seed: int) -> tuple[list[Pair], float]:
-    """Those near the best beyond their nearest bumps, best first, and how high these are about it or the base, nats.
+def settled_anew(
+    base: Pair, found: Sequence[Pair], luck: float, progress: Progress, seed: int
+) -> tuple[list[Pair], float]:
+    """Best first, and how high bumps are about the best, nats: by so much fits of it may differ.
+
+    Where it leads out of what rattles, steps that were nothing beside the base's `luck` are worth while there.
+    """
+    own = max(LUCK, bumps(found[0].fit, np.random.default_rng([seed, 5])))
+    if own > CALM * luck:
+        return list(found), own
+    near, tell = _near(base, found), partial(progress, "refining the best")
+
+    def further(pair: Pair) -> Pair:
+        for _ in range(MOST_FURTHER):
+            more = finished(beyond_bumps(pair, own).fit, base.held.followed, own)
+            if more.height > pair.height - own:
+                return min((pair, more), key=lambda p: p.height)
+            pair = more
+        return pair
+
+    done = side_by_side(base.fit.problem, further, near, lambda k: tell(k, len(near)))
+    tell(1, 1)
+    return near_remembered(base, best_of_each([*found, *done]), own, progress), own
+
+
+def smoothed(base: Pair, found: Sequence[Pair], luck: float, progress: Progress) -> list[Pair]:
+    """Those near the best beyond their nearest bumps, so many nats high, best first.
 
     Where a lead is many times as high nobody goes beyond them: the order would stay.
     """
-    luck = max(luck, bumps(found[0].fit, np.random.default_rng([seed, 5])))
     near, ahead = _near(base, found), found[0].height + SO_HIGH * luck
     contested = [p for p in near if p.height < ahead]
     if len(contested) == 1 and base.height > ahead:
@@ -245,4 +272,4 @@ def smoothed(base: Pair, found: Sequence[Pair], luck: float, progress: Progress,
     progress("polishing", 1, 1)
     done += [p for p in near if p not in contested]
     alone = as_the_best(best_of_each(done), luck)
-    return best_of_each([*alone, *(p for p in found if p not in near)]), luck
+    return best_of_each([*alone, *(p for p in found if p not in near)])
