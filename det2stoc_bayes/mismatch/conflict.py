@@ -43,13 +43,30 @@ def needless(after: Fit, declared: Fit) -> bool:
     )
 
 
+def in_doubt(after: Fit, declared: Fit) -> bool:
+    """Whether declared priors are in doubt beside effects that were found under wider ones."""
+    return bool(strained(declared.problem, _z_under(after, declared.problem.simulator)))
+
+
+def as_well(fit: Fit, other: Fit) -> bool:
+    """Whether effects beside which no prior is in doubt tell the same recordings as well as others do."""
+    same = fit.problem.segments.extent == other.problem.segments.extent
+    in_place = bool(fit.problem.effects) and not strained(fit.problem, fit.point.z)
+    return same and in_place and bool(log_told(fit) > log_told(other) - AS_WELL)
+
+
 def _refitted(fit: Fit, simulator: Simulator, farthest: float) -> Fit | None:
     """The fit under other priors, from the same psi or at most `farthest` of their sds out."""
-    psi = fit.problem.psi(fit.point.z)
-    z = [float(p.prior.to_normal(v)) for p, v in zip(simulator.parameters, psi, strict=True)]
-    z = np.concatenate([np.clip(z, -farthest, farthest), fit.point.z[fit.problem.num_psi :]])
+    z = np.clip(_z_under(fit, simulator), -farthest, farthest)
+    z = np.concatenate([z, fit.point.z[fit.problem.num_psi :]])
     problem = replace(fit.problem, simulator=simulator)
     return fit_many([(problem, Point(z, fit.point.start))], max_iterations=20)[0]
+
+
+def _z_under(fit: Fit, simulator: Simulator) -> Float[np.ndarray, " psi"]:
+    """psi of a fit in sds of other priors."""
+    psi = fit.problem.psi(fit.point.z)
+    return np.array([float(p.prior.to_normal(v)) for p, v in zip(simulator.parameters, psi, strict=True)])
 
 
 def strained(problem: Problem, z: Float[np.ndarray, " size"]) -> list[str]:

@@ -13,7 +13,7 @@ from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.belief import Sampler, Temper
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.compose import Composer
-from det2stoc_bayes.mismatch.conflict import needless, resolved
+from det2stoc_bayes.mismatch.conflict import as_well, in_doubt, needless, resolved
 from det2stoc_bayes.mismatch.contact.run import diagnosed, touches
 from det2stoc_bayes.mismatch.credence import weigh
 from det2stoc_bayes.mismatch.effects import PlacedEffect
@@ -106,9 +106,13 @@ def diagnose(
     before = resolved(declared) or declared
     progress("fitting the believed model", 1, 1)
     search = _search(before, progress)
-    if before is not declared and search.effects and needless(search.found.after, declared):
-        before = declared
-        search = _search(before, progress)
+    if before is not declared and search.effects:
+        after = search.found.after
+        by_declared = needless(after, declared)
+        if by_declared or in_doubt(after, declared):
+            other = _search(declared, progress)
+            if by_declared or as_well(other.found.after, after):
+                before, search = declared, other
     progress("scoring held-out recordings", 0, 1)
 
     def judge_anew(found: Explanation) -> Judgement:

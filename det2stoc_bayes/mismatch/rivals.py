@@ -1,6 +1,6 @@
 """What could stand in an effect's place, fitted and told on equal terms."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from det2stoc_bayes.mismatch.crossed import misses, untold
@@ -10,6 +10,7 @@ from det2stoc_bayes.mismatch.numerics import comparable
 from det2stoc_bayes.mismatch.race import Ranked, Slot, gain, settled
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE
 
+PROMISED = 0.8  # of what an effect promised, that a likely rival did
 AHEAD = 5.0  # nats by which an effect may be ahead of a rival without further question
 
 
@@ -26,20 +27,33 @@ def with_rivals(slot: Slot, own: Ranked) -> Slot:
 
 
 def _arrived(slot: Slot, own: Ranked) -> tuple[Slot, Ranked]:
-    """While a misfit remains, rivals that tell other recordings about as well as an effect at its optimum go further.
+    """Beside an effect at its optimum the likely rivals that were on their way go further.
 
     On its way there one has less evidence than what it would predict the same as, and would be another name for it.
     """
-    if own.fit.end == "unfinished" or not misses(own.fit):
+    if own.fit.end == "unfinished":
         return slot, own
-    score, share = (1 + NEGLIGIBLE) * untold(own.fit), effective_share(own.fit)
-    slow = [r.fit for r in slot.ranked if r.placed != own.placed and r.fit.end == "unfinished"]
-    found = settled([f for f in slow if untold(f) < score], share, len(slot.base.problem.effects))
+    share, likely = effective_share(own.fit), _likely(slot, own)
+    slow = [r.fit for r in slot.ranked if r.placed != own.placed and r.fit.end == "unfinished" and likely(r)]
+    found = settled(slow, share, len(slot.base.problem.effects))
     if not found:
         return slot, own
     fits = {r.placed: r.fit for r in slot.ranked} | {f.problem.effects[-1]: f for f in found}
     ranked = [Ranked(placed, f, gain(slot.base, f, share)) for placed, f in fits.items()]
     return replace(slot, ranked=tuple(ranked)), replace(own, gain=gain(slot.base, own.fit, share))
+
+
+def _likely(slot: Slot, own: Ranked) -> Callable[[Ranked], bool]:
+    """Of rivals: where the effect leaves but chance, whether they promised about as much.
+
+    While a misfit remains, whether they tell other recordings about as well.
+    """
+    if misses(own.fit):
+        score = (1 + NEGLIGIBLE) * untold(own.fit)
+        return lambda r: untold(r.fit) < score
+    promised = {s.placed: s.log_evidence for s in slot.screened}
+    least = PROMISED * max(promised.get(own.placed, 0.0), 0.0)
+    return lambda r: promised.get(r.placed, 0.0) > least
 
 
 def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from simulated import fit, place, spring_problem
 
-from det2stoc_bayes.mismatch.conflict import needless, resolved
+from det2stoc_bayes.mismatch.conflict import as_well, in_doubt, needless, resolved
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_told
 
@@ -49,6 +49,7 @@ def test_effects_that_strained_a_prior_leave_it_as_declared(tmp_path):
     sds = [float(np.sqrt(f.covariance[-1, -1])) for f in (split, here)]
     assert sds[1] < 0.2 * sds[0]  # measured: 0.1
     assert abs(log_told(split) - log_told(here)) < 1.0
+    assert as_well(here, split) and not as_well(declared, split)
 
 
 def test_a_wrong_prior_stays_wrong_beside_an_effect(tmp_path):
@@ -65,7 +66,8 @@ def test_a_wrong_prior_stays_wrong_beside_an_effect(tmp_path):
     both = added(wide, ("constant_force", "slide"))
     assert log_told(both) > log_told(wide) + 10
     assert both.problem.psi(both.point.z)[0] == pytest.approx(2.0, abs=0.02)
-    assert not needless(both, declared)
+    assert not needless(both, declared) and in_doubt(both, declared)
+    assert not as_well(added(declared, ("constant_force", "slide")), both)
 
 
 def test_only_a_prior_that_strains_is_doubted(tmp_path):

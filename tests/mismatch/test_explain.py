@@ -16,6 +16,7 @@ from det2stoc_bayes.mismatch.evidence import by_chance, log_evidence
 from det2stoc_bayes.mismatch.explain import explain
 from det2stoc_bayes.mismatch.looks import Looks
 from det2stoc_bayes.mismatch.race import Ranked, Slot
+from det2stoc_bayes.mismatch.screen import Screened
 from det2stoc_bayes.optimize import fit_many
 
 NO_LOOKS = looks.Looks(lambda *_: None)
@@ -193,6 +194,28 @@ def test_a_rival_on_its_way_is_held_against_an_effect_at_its_optimum(drag, monke
         monkeypatch.setattr(rivals, "untold", lambda f, told=told: told if f is early else 1.0)
         _, found = rivals._arrived(slot, present)[0].ranked
         assert found.fit.chi2 == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(("share", "goes_on"), [(0.9, True), (0.5, False)])
+def test_a_rival_that_promised_as_much_is_followed_to_its_optimum(drag, share, goes_on):
+    """Though the effect leaves but chance: a clock's skew was on its way when a speed's scale, psi far off, ended."""
+    own, rival = (
+        drag.problem.with_effects([place(drag.problem, n, "slide", SMALL)])
+        for n in ("quadratic_damping", "viscous_damping")
+    )
+    there, rest = fit(own), fit(rival)
+    point = start_point(rival, np.append(drag.point.z, np.full(rival.size - drag.problem.size, -3.0)))
+    (early,) = fit_many([(rival, point)], max_iterations=0)
+    assert by_chance(there) and early.end == "unfinished" and early.noise_inflation > 1.5
+    present = Ranked(own.effects[0], there, 60.0)
+    none = np.zeros(drag.problem.size)
+    screened = tuple(
+        Screened(e, e.effect.trials(e.typical)[0], told, told, np.zeros(1), none)
+        for e, told in ((own.effects[0], 100.0), (rival.effects[0], 100.0 * share))
+    )
+    slot = Slot(drag, screened, (present, Ranked(rival.effects[0], early, 30.0)))
+    found = rivals._arrived(slot, present)[0].ranked[1].fit
+    assert found.chi2 == pytest.approx(rest.chi2 if goes_on else early.chi2, rel=1e-3)
 
 
 def test_a_single_recording_has_no_others_to_ask(drag, monkeypatch):

@@ -3,6 +3,8 @@
 from det2stoc_bayes.mismatch.effects.base import COLUMN_UNIT, Effect, EffectParameter, normal
 from det2stoc_bayes.priors import Prior
 
+SLOWEST = 0.1  # clock, times true time, that is simulated
+
 
 class SensorEffect(Effect):
     """An effect on one recorded column."""
@@ -83,9 +85,9 @@ class ClockSkew(Effect):
     complexity = 2
 
     def priors(self, typical):
-        """Timers that software keeps are off by a percent or two."""
-        return {"ratio": Prior("Normal", {"loc": 1.0, "scale": 0.02})}
+        """Timers that software keeps are off by a percent or two; a log's rate may be wrong altogether."""
+        return {"ratio": Prior("StudentT", {"df": 4.0, "loc": 1.0, "scale": 0.015})}
 
     def fields(self, p, fields, at, xp):
         """A step of the recorded clock is one of true time over the ratio."""
-        return {"opt.timestep": fields["opt.timestep"] / p["ratio"]}
+        return {"opt.timestep": fields["opt.timestep"] / xp.maximum(p["ratio"], SLOWEST)}
