@@ -62,16 +62,21 @@ def _interrupting(interrupted: Event) -> Iterator[None]:
 
     One raised where Python can only drop it (a finalizer, a callback of the garbage collector) is raised again.
     """
-    raised_again: list[Timer] = []
+    waiting: list[Timer] = []
+    over = Event()
 
     def note(*_: Any) -> None:
         interrupted.set()
         raise KeyboardInterrupt
 
-    def lost(dropped: "sys.UnraisableHookArgs") -> None:
-        if issubclass(dropped.exc_type, KeyboardInterrupt):
-            raised_again.append(Timer(0.05, interrupt_main))
-            raised_again[-1].start()
+    def again() -> None:
+        if not over.is_set():
+            _interrupt()
+
+    def lost(dropped: Any) -> None:
+        if isinstance(dropped.exc_value, KeyboardInterrupt):
+            waiting.append(Timer(0.05, again))
+            waiting[-1].start()
         else:
             before_hook(dropped)
 
@@ -83,11 +88,18 @@ def _interrupting(interrupted: Event) -> Iterator[None]:
     try:
         yield
     finally:
-        for timer in raised_again:
-            timer.cancel()
-        sys.unraisablehook = before_hook
+        over.set()
         for sent, handler in before.items():
             signal.signal(sent, handler)
+        sys.unraisablehook = before_hook
+
+
+def _interrupt() -> None:
+    """A Ctrl-C for the main thread, which it wakes where the system can."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(main_thread().ident or 0, signal.SIGINT)
+    else:
+        interrupt_main()
 
 
 def _exit(console: "rich.console.Console", line: str, code: int) -> typer.Exit:

@@ -8,6 +8,7 @@ from scipy.stats import norm
 
 from det2stoc_bayes.linearization import Point
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, log_told
+from det2stoc_bayes.mismatch.horizon import reaches
 from det2stoc_bayes.optimize import Fit, fit_many
 from det2stoc_bayes.priors import Prior
 from det2stoc_bayes.problem import Problem
@@ -49,10 +50,13 @@ def in_doubt(after: Fit, declared: Fit) -> bool:
 
 
 def as_well(fit: Fit, other: Fit) -> bool:
-    """Whether effects beside which no prior is in doubt tell the same recordings as well as others do."""
-    same = fit.problem.segments.extent == other.problem.segments.extent
-    in_place = bool(fit.problem.effects) and not strained(fit.problem, fit.point.z)
-    return same and in_place and bool(log_told(fit) > log_told(other) - AS_WELL)
+    """Whether no more effects, beside which no prior is in doubt, tell the recordings as well as others do."""
+    count = len(fit.problem.effects)
+    if not 0 < count <= len(other.problem.effects) or strained(fit.problem, fit.point.z):
+        return False
+    if fit.problem.segments.extent != other.problem.segments.extent:
+        return reaches(fit, other)
+    return bool(log_told(fit) > log_told(other) - AS_WELL)
 
 
 def _refitted(fit: Fit, simulator: Simulator, farthest: float) -> Fit | None:

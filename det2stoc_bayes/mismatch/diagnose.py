@@ -103,16 +103,8 @@ def diagnose(
             f"{study.model_path}: the simulation diverges from every recorded start; "
             "check units, the timestep and the initial states of the recordings"
         )
-    before = resolved(declared) or declared
     progress("fitting the believed model", 1, 1)
-    search = _search(before, progress)
-    if before is not declared and search.effects:
-        after = search.found.after
-        by_declared = needless(after, declared)
-        if by_declared or in_doubt(after, declared):
-            other = _search(declared, progress)
-            if by_declared or as_well(other.found.after, after):
-                before, search = declared, other
+    before, search = _by_priors_that_hold(declared, progress)
     progress("scoring held-out recordings", 0, 1)
 
     def judge_anew(found: Explanation) -> Judgement:
@@ -142,6 +134,24 @@ class _Search:
     def effects(self) -> tuple[PlacedEffect, ...]:
         """The effects that explain."""
         return self.found.after.problem.effects
+
+
+def _by_priors_that_hold(declared: Fit, progress: Progress) -> tuple[Fit, _Search]:
+    """The believed model's fit, under wider priors than the declared where these are wrong, and what is missing beside.
+
+    What is missing may be what strained them: then effects are looked for under the declared ones.
+    """
+    before = resolved(declared) or declared
+    search = _search(before, progress)
+    if before is declared or not search.effects:
+        return before, search
+    after = search.found.after
+    hold = needless(after, declared)
+    if hold or in_doubt(after, declared):
+        other = _search(declared, progress)
+        if hold or as_well(other.found.after, after):
+            return declared, other
+    return before, search
 
 
 def _search(before: Fit, progress: Progress) -> _Search:

@@ -50,7 +50,7 @@ def climb(
             break
         some = every if n is None else _leading(problem, every)
         fit = _on(problem, some, z, best)
-        if fit is None or (best is not None and _lost(fit)):
+        if fit is None or (best is not None and _lost(fit) and not _recovers(fit, best)):
             break
         best, stretches, z = fit, every, fit.point.z
     if best is None:
@@ -68,6 +68,12 @@ def _lost(fit: Fit) -> bool:
     """
     astray = fit.end != "converged" and fit.noise_inflation >= FAR
     return (astray and not fit.problem.guess.seen.all()) or relative_error(fit) > LARGEST_ERROR
+
+
+def _recovers(fit: Fit, shorter: Fit) -> bool:
+    """Whether an effect that remembers, and starts anew at every cut, tells longer stretches better."""
+    remembers = any(e.effect.uses("anchor") for e in fit.problem.effects)
+    return remembers and relative_error(fit) < relative_error(shorter)
 
 
 def _leading(problem: Problem, segments: Segments) -> Segments:

@@ -110,9 +110,12 @@ def race(
     return list(best.values())
 
 
-def settled(fits: Sequence[Fit], share: float, first: int) -> list[Fit]:
-    """Those on their way at their optima: under a large misfit a race ends long before that, and the slower may win."""
-    slow = [f for f in fits if f.end == "unfinished" and f.noise_inflation >= MODEL_ERROR]
+def settled(fits: Sequence[Fit], share: float, first: int, least: float = MODEL_ERROR) -> list[Fit]:
+    """Those on their way at their optima: under a large misfit a race ends long before that, and the slower may win.
+
+    Those that leave `least` times the noise at least.
+    """
+    slow = [f for f in fits if f.end == "unfinished" and f.noise_inflation >= least]
     on = [(f.problem, f.point) for f in slow]
     found = fit_many(on, max_iterations=MOST_ITERATIONS, tolerance=SETTLED / share) if slow else []
     better = {

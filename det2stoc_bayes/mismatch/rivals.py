@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from det2stoc_bayes.mismatch.crossed import misses, untold
-from det2stoc_bayes.mismatch.evidence import effective_share, log_evidence
+from det2stoc_bayes.mismatch.evidence import by_chance, effective_share, log_evidence
 from det2stoc_bayes.mismatch.kin import with_kin
 from det2stoc_bayes.mismatch.numerics import comparable
 from det2stoc_bayes.mismatch.race import Ranked, Slot, gain, settled
@@ -33,10 +33,10 @@ def _arrived(slot: Slot, own: Ranked) -> tuple[Slot, Ranked]:
     """
     if own.fit.end == "unfinished":
         return slot, own
-    share, likely = effective_share(own.fit), _likely(slot, own)
+    share, first, likely = effective_share(own.fit), len(slot.base.problem.effects), _likely(slot, own)
     slow = [r.fit for r in slot.ranked if r.placed != own.placed and r.fit.end == "unfinished" and likely(r)]
-    found = settled(slow, share, len(slot.base.problem.effects))
-    if not found:
+    found = settled(slow, share, first, least=1.0)
+    if all(f is g for f, g in zip(found, slow, strict=True)):
         return slot, own
     fits = {r.placed: r.fit for r in slot.ranked} | {f.problem.effects[-1]: f for f in found}
     ranked = [Ranked(placed, f, gain(slot.base, f, share)) for placed, f in fits.items()]
@@ -44,16 +44,16 @@ def _arrived(slot: Slot, own: Ranked) -> tuple[Slot, Ranked]:
 
 
 def _likely(slot: Slot, own: Ranked) -> Callable[[Ranked], bool]:
-    """Of rivals: where the effect leaves but chance, whether they promised about as much.
+    """Of rivals: while a misfit remains, whether they tell other recordings about as well.
 
-    While a misfit remains, whether they tell other recordings about as well.
+    Where the effect leaves but chance, whether they promised about as much as it did.
     """
     if misses(own.fit):
         score = (1 + NEGLIGIBLE) * untold(own.fit)
         return lambda r: untold(r.fit) < score
     promised = {s.placed: s.log_evidence for s in slot.screened}
-    least = PROMISED * max(promised.get(own.placed, 0.0), 0.0)
-    return lambda r: promised.get(r.placed, 0.0) > least
+    least = PROMISED * promised.get(own.placed, 0.0)
+    return lambda r: by_chance(own.fit) and promised.get(r.placed, 0.0) > least > 0
 
 
 def _rivals(own: Ranked, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:

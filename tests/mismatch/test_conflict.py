@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 from simulated import fit, place, spring_problem
 
+from det2stoc_bayes.mismatch import diagnose
 from det2stoc_bayes.mismatch.conflict import as_well, in_doubt, needless, resolved
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_told
+from det2stoc_bayes.mismatch.explain import Explanation
+from det2stoc_bayes.mismatch.looks import Looks
 
 TYPICAL = Typical(force=6.0, speed=1.0, span=0.3, inertia=1.2)
 PSI = """
@@ -75,3 +78,31 @@ def test_only_a_prior_that_strains_is_doubted(tmp_path):
     assert resolved(base) is None
     far = replace(base, linear=replace(base.linear, point=replace(base.point, z=np.array([4.0, 0.0]))))
     assert resolved(far) is not None
+
+
+@pytest.mark.parametrize(
+    ("effects", "needless_there", "doubted", "as_well_there", "taken"),
+    [
+        (False, False, True, True, "wide"),
+        (True, True, False, False, "declared"),
+        (True, False, True, True, "declared"),
+        (True, False, True, False, "wide"),
+        (True, False, False, True, "wide"),
+    ],
+)
+def test_which_priors_effects_are_told_under(
+    tmp_path, monkeypatch, effects, needless_there, doubted, as_well_there, taken
+):
+    """By the declared ones where these hold beside what is missing, as far as the recordings go."""
+    fits = {name: believed(tmp_path / name) for name in ("declared", "wide")}
+    afters = {name: added(f, ("viscous_damping", "slide")) if effects else f for name, f in fits.items()}
+    searches = {
+        id(f): diagnose._Search(None, Explanation(f, afters[name], (), 1, 1.0), [], Looks()) for name, f in fits.items()
+    }
+    monkeypatch.setattr(diagnose, "resolved", lambda _: fits["wide"])
+    monkeypatch.setattr(diagnose, "_search", lambda fit, _: searches[id(fit)])
+    monkeypatch.setattr(diagnose, "needless", lambda *_: needless_there)
+    monkeypatch.setattr(diagnose, "in_doubt", lambda *_: doubted)
+    monkeypatch.setattr(diagnose, "as_well", lambda *_: as_well_there)
+    before, search = diagnose._by_priors_that_hold(fits["declared"], lambda *_: None)
+    assert before is fits[taken] and search is searches[id(before)]

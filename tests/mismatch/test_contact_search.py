@@ -92,17 +92,39 @@ def test_a_hypothesis_goes_beyond_bumps_where_they_are_high_alone(followed, prob
     assert search.beyond_bumps(stuck, search.BUMPY).fit.loss < stuck.fit.loss
 
 
-@pytest.mark.parametrize(("base_luck", "own"), [(100.0, 6.0), (10.0, 6.0), (2.0, 60.0)])
-def test_an_addition_that_leads_out_of_what_rattles_is_fitted_on(followed, problem, pool, monkeypatch, base_luck, own):
-    """Beside a base's bumps of 100 nats its steps had ended early, and three times as much it did not gain."""
+@pytest.mark.parametrize(("of_base", "of_best", "luck"), [(100.0, 6.0, 8.0), (10.0, 6.0, 10.0), (2.0, 60.0, 60.0)])
+def test_an_addition_that_leads_out_of_what_rattles_is_judged_by_its_own_bumps(
+    followed, problem, pool, monkeypatch, of_base, of_best, luck
+):
+    """Beside a base's bumps of 100 nats its steps had ended early, and three times as much it did not gain.
+
+    The base goes on from where it is led then, too; the bumps that count are the highest about who is near the best.
+    """
+    base, led = (pair_of(followed, [z_of(problem, f * TRUTH)]) for f in (0.5, 0.6))
+    more = pair_of(followed, [z_of(problem, 0.9 * TRUTH), 0.0], named(pool, "linear_drag"))
+    near = pair_of(followed, [z_of(problem, 0.9 * TRUTH), 0.0], named(pool, "gravity_error"))
+    heights, bases = {id(base.fit): of_base, id(more.fit): of_best, id(near.fit): 8.0}, []
+    monkeypatch.setattr(search, "bumps", lambda fit, _: heights[id(fit)])
+    monkeypatch.setattr(search, "beyond_bumps", lambda pair, _: pair)
+    monkeypatch.setattr(search, "_screened", lambda *_: [])
+    monkeypatch.setattr(search, "refined", lambda *_: [more])
+    monkeypatch.setattr(search, "near_remembered", lambda base, found, *_: found)
+    monkeypatch.setattr(search, "better_base", lambda base, found, luck, longer: bases.append(found) or led)
+    monkeypatch.setattr(search, "fitted_on", lambda *_: [more, near])
+    monkeypatch.setattr(search, "smoothed", lambda base, found, luck, _: found)
+    monkeypatch.setattr(search, "earns", lambda *_: False)
+    one = search.look(base, pool, quiet)
+    assert one.luck == luck and one.base is led
+    assert bases == [[more], [more]] + [[more, near]] * (of_best < search.CALM * of_base)
+
+
+def test_what_is_fitted_on_goes_beyond_where_it_ended(followed, problem, pool, monkeypatch):
     base = pair_of(followed, [z_of(problem, 0.5 * TRUTH)])
     more = pair_of(followed, [z_of(problem, 0.9 * TRUTH), 0.0], named(pool, "linear_drag"))
-    monkeypatch.setattr(search, "bumps", lambda *_: own)
     monkeypatch.setattr(search, "near_remembered", lambda base, found, luck, progress: found)
-    found, luck = search.settled_anew(base, [more], base_luck, quiet, 0)
-    assert luck == own
-    calm = own < search.CALM * base_luck
-    assert found[0].height < more.height - own if calm else found == [more]
+    for luck in (2.0, search.BUMPY):
+        first = search.fitted_on(base, [more], luck, quiet)[0]
+        assert first.placed == more.placed and first.height < more.height - luck
 
 
 @pytest.mark.parametrize("led", [True, False])
@@ -114,7 +136,6 @@ def test_where_all_lose_evidence_none_is_looked_at_further(followed, problem, po
     monkeypatch.setattr(search, "bumps", lambda *_: 0.0)
     monkeypatch.setattr(search, "_screened", lambda *_: [])
     monkeypatch.setattr(search, "near_remembered", lambda base, found, *_: went_on.append(base) or found)
-    monkeypatch.setattr(search, "settled_anew", lambda base, found, *_: (found, search.LUCK))
     monkeypatch.setattr(search, "smoothed", lambda base, found, *_: found)
     if not led:
         monkeypatch.setattr(search, "better_base", lambda base, *_, longer: base)
@@ -140,7 +161,6 @@ def test_where_a_longer_memory_serves_no_held_out_recording_the_first_is_asked(
     monkeypatch.setattr(search, "refined", lambda *_: [short, rival])
     monkeypatch.setattr(search, "near_remembered", lambda *_: [longer, rival_longer])
     monkeypatch.setattr(search, "better_base", lambda base, *_, longer: base)
-    monkeypatch.setattr(search, "settled_anew", lambda base, found, *_: (found, search.LUCK))
     monkeypatch.setattr(search, "smoothed", lambda base, found, *_: found)
     monkeypatch.setattr(search, "held_gain", lambda *_: held)
     monkeypatch.setattr(search, "earns", lambda base, more, *_: asked.append(more) or more is short)
@@ -167,7 +187,6 @@ def test_what_a_rivals_own_recordings_would_say_leaves_a_lead_no_name(followed, 
     monkeypatch.setattr(search, "refined", lambda *_: [right])
     monkeypatch.setattr(search, "near_remembered", lambda base, found, *_: found)
     monkeypatch.setattr(search, "better_base", lambda base, *_, longer: base)
-    monkeypatch.setattr(search, "settled_anew", lambda base, found, *_: (found, search.LUCK))
     monkeypatch.setattr(search, "smoothed", lambda base, found, *_: found)
     monkeypatch.setattr(search, "earns", lambda *_: True)
     monkeypatch.setattr(search, "rivals", lambda *_: weighed)

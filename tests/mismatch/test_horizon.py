@@ -120,3 +120,13 @@ def test_error_beyond_the_noise_is_beside_the_spread(tmp_path):
     beyond = np.sqrt((r**2).mean((0, 1)) - (problem.noise / 3) ** 2)
     expected = (beyond / problem.segments.values.std((0, 1))).max()
     assert relative_error(found) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize(("name", "climbs"), [("hysteresis", True), ("cubic_stiffness", False)])
+def test_what_remembers_goes_on_where_longer_stretches_are_told_better(tmp_path, monkeypatch, name, climbs):
+    """Its memory starts anew at every cut: a rod's hysteresis left 37 times the noise by parts, and 3.4 as a whole."""
+    typical = Typical(force=1.5, speed=2.0, span=1.0, inertia=0.1)
+    problem = pendulum(tmp_path, push=twisted)
+    problem = problem.with_effects([place(problem, name, "pivot", typical)])
+    monkeypatch.setattr(horizon, "relative_error", lambda fit: 1000 * LARGEST_ERROR / fit.problem.segments.extent[0])
+    assert climb(problem).problem.segments.whole is climbs

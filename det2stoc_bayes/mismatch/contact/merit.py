@@ -56,7 +56,8 @@ def gain_by_chance(
     """The most that these gain on fitted recordings as the base would make them; looked for until it is `most`, or
     nowhere near.
 
-    At least `luck`: about who leads bumps may be higher than on any recordings that the base makes.
+    At least `luck`, the height of bumps: where something is missing they may be higher than on any recordings that the
+    base makes.
     """
     best = luck
     for k in range(NUM_CHANCES):

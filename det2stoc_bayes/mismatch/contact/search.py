@@ -96,7 +96,13 @@ def look(
     short = {p.placed: p for p in found}
     found = near_remembered(base, found, first_luck, progress)
     base = better_base(base, found, first_luck, longer=True)
-    found, luck = settled_anew(base, found, first_luck, progress, seed)
+    luck = bumps_about(found[:1], seed)
+    if luck <= CALM * first_luck:
+        found = fitted_on(base, found, luck, progress)
+        luck = bumps_about(_near(base, found), seed)
+        base = better_base(base, found, first_luck, longer=True)
+    else:
+        luck = max(luck, first_luck)
     found = smoothed(base, found, luck, progress)
     if first_luck < BUMPY and found[0].gain(base) < SO_HIGH * luck:
         base = beyond_bumps(base, luck)
@@ -233,29 +239,30 @@ def _near(base: Pair, found: Sequence[Pair]) -> list[Pair]:
     return [p for p in found if p.height <= found[0].height + max(NEAR * found[0].gain(base), LEAST_NEAR)]
 
 
-def settled_anew(
-    base: Pair, found: Sequence[Pair], luck: float, progress: Progress, seed: int
-) -> tuple[list[Pair], float]:
-    """Best first, and how high bumps are about the best, nats: by so much fits of it may differ.
+def bumps_about(pairs: Sequence[Pair], seed: int) -> float:
+    """How high the highest bumps about them are, nats: by so much fits of one hypothesis may differ."""
+    return max([LUCK, *(bumps(p.fit, np.random.default_rng([seed, 5])) for p in pairs)])
 
-    Where it leads out of what rattles, steps that were nothing beside the base's `luck` are worth while there.
+
+def fitted_on(base: Pair, found: Sequence[Pair], luck: float, progress: Progress) -> list[Pair]:
+    """Best first, those near the best fitted on by the bumps about it, which the base's do not hide any more.
+
+    Where it leads out of what rattles, steps that were nothing beside the base's bumps are worth while.
     """
-    own = max(LUCK, bumps(found[0].fit, np.random.default_rng([seed, 5])))
-    if own > CALM * luck:
-        return list(found), own
     near, tell = _near(base, found), partial(progress, "refining the best")
 
     def further(pair: Pair) -> Pair:
         for _ in range(MOST_FURTHER):
-            more = finished(beyond_bumps(pair, own).fit, base.held.followed, own)
-            if more.height > pair.height - own:
+            fit = polished(pair.fit) if luck >= BUMPY else pair.fit
+            more = finished(fit, base.held.followed, luck)
+            if more.height > pair.height - luck:
                 return min((pair, more), key=lambda p: p.height)
             pair = more
         return pair
 
     done = side_by_side(base.fit.problem, further, near, lambda k: tell(k, len(near)))
     tell(1, 1)
-    return near_remembered(base, best_of_each([*found, *done]), own, progress), own
+    return near_remembered(base, best_of_each([*found, *done]), luck, progress)
 
 
 def smoothed(base: Pair, found: Sequence[Pair], luck: float, progress: Progress) -> list[Pair]:

@@ -1,9 +1,11 @@
 """Effects between the truth and what is recorded."""
 
-from det2stoc_bayes.mismatch.effects.base import COLUMN_UNIT, Effect, EffectParameter, normal
+import numpy as np
+
+from det2stoc_bayes.mismatch.effects.base import COLUMN_UNIT, SMALL, Effect, EffectParameter, Trial, normal
 from det2stoc_bayes.priors import Prior
 
-SLOWEST = 0.1  # clock, times true time, that is simulated
+PERCENTS, MOST_OFF = 0.015, 2.0  # of the logarithm of a clock's ratio: its usual size, and the most that is simulated
 
 
 class SensorEffect(Effect):
@@ -85,9 +87,22 @@ class ClockSkew(Effect):
     complexity = 2
 
     def priors(self, typical):
-        """Timers that software keeps are off by a percent or two; a log's rate may be wrong altogether."""
-        return {"ratio": Prior("StudentT", {"df": 4.0, "loc": 1.0, "scale": 0.015})}
+        """Of its logarithm: software's timers are off by a percent or two, but a log's rate may be wrong by far."""
+        return {"ratio": Prior("StudentT", {"df": 4.0, "loc": 0.0, "scale": PERCENTS})}
+
+    def from_normal(self, z, typical, xp=np):
+        """By its logarithm."""
+        log_ratio = super().from_normal(z, typical, xp)["ratio"]
+        return {"ratio": xp.exp(xp.clip(log_ratio, -MOST_OFF, MOST_OFF))}
+
+    def to_normal(self, values, typical):
+        """Inverse of `from_normal`."""
+        return super().to_normal({"ratio": np.log(np.maximum(values["ratio"], np.exp(-MOST_OFF)))}, typical)
+
+    def trials(self, typical):
+        """A little; the sd of what it may be times as large is as wide as the prior's far end asks."""
+        return [Trial(({"ratio": 1.0 + SMALL * PERCENTS},), sd=3.0 / SMALL)]
 
     def fields(self, p, fields, at, xp):
         """A step of the recorded clock is one of true time over the ratio."""
-        return {"opt.timestep": fields["opt.timestep"] / xp.maximum(p["ratio"], SLOWEST)}
+        return {"opt.timestep": fields["opt.timestep"] / p["ratio"]}
