@@ -38,9 +38,13 @@ def problem(tmp_path_factory):
     return pose(load_study(folder))
 
 
+def fit(problem, seed):
+    return det2stoc.fit(problem, seed, num_samples=400, num_iterations=2)
+
+
 @pytest.fixture(scope="module")
 def fitted(problem):
-    return det2stoc.fit(problem, 0, num_samples=400, num_iterations=2, num_simulated=3000, num_steps=3000)
+    return fit(problem, 0)
 
 
 @pytest.fixture(scope="module")
@@ -73,11 +77,15 @@ def quadrature(problem):
 
 
 def test_posterior_is_that_of_the_transitions(problem, fitted):
-    """Measured: means off by 0.3 and 0.02 sds, sds by 2 %."""
+    """A training's own chance is averaged over two.
+
+    Measured over six: means off by 0.27 and 0.07 sds, give or take 0.1 and 0.17; sds by 2 and 0 %, give or take 6 %.
+    """
+    fits = [fitted, fit(problem, 1)]
     for (mean, sd), name in zip(quadrature(problem), ("damping", "stiffness"), strict=True):
-        draws = fitted.posterior[name].values
+        draws = np.stack([f.posterior[name].values.ravel() for f in fits])
         assert abs(draws.mean() - mean) < 0.5 * sd
-        assert draws.std() == pytest.approx(sd, rel=0.15)
+        assert draws.std(1).mean() == pytest.approx(sd, rel=0.15)
 
 
 def test_the_latent_is_psi_in_the_units_believed(problem):

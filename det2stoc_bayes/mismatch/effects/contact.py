@@ -34,7 +34,7 @@ class OnContact(Effect):
         raise NotImplementedError
 
     def written(self, p, fields, at, xp):
-        """The contact's own parameters."""
+        """The parameters of the geom that is given priority."""
         return rewritten(self.changed, p, fields, at, xp)
 
 
@@ -51,7 +51,7 @@ def _paired(form):
     """The form of an effect for listed pairs."""
     if issubclass(form, OfListed):
         return form()
-    own = {
+    own = {  # of forms that change what contacts have and nothing else: an adhesion has a form of its own
         "needs": form.needs | {"paired"},
         "changes": PAIR if form.changes else (),
         "writes": PAIR if form.writes else (),
@@ -68,7 +68,7 @@ class ContactEffect(OnContact):
     changes = (*GEOM, *MIXED)
 
     def fields(self, p, fields, at, xp):
-        """The contact's own parameters."""
+        """The same from the beginning to the end."""
         return self.written(p, fields, at, xp)
 
 
