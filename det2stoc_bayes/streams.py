@@ -62,7 +62,6 @@ def _interrupting(interrupted: Event) -> Iterator[None]:
 
     One raised where Python can only drop it (a finalizer, a callback of the garbage collector) is raised again.
     """
-    waiting: list[Timer] = []
     over = Event()
 
     def note(*_: Any) -> None:
@@ -75,8 +74,7 @@ def _interrupting(interrupted: Event) -> Iterator[None]:
 
     def lost(dropped: Any) -> None:
         if isinstance(dropped.exc_value, KeyboardInterrupt):
-            waiting.append(Timer(0.05, again))
-            waiting[-1].start()
+            Timer(0.05, again).start()
         else:
             before_hook(dropped)
 
