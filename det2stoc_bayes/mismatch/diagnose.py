@@ -17,7 +17,7 @@ from det2stoc_bayes.mismatch.conflict import as_well, in_doubt, needless, resolv
 from det2stoc_bayes.mismatch.contact.run import diagnosed, touches
 from det2stoc_bayes.mismatch.credence import weigh
 from det2stoc_bayes.mismatch.effects import PlacedEffect
-from det2stoc_bayes.mismatch.evidence import MODEL_ERROR, by_chance, effective_share, log_evidence
+from det2stoc_bayes.mismatch.evidence import by_chance, effective_share, log_evidence
 from det2stoc_bayes.mismatch.explain import Explanation
 from det2stoc_bayes.mismatch.horizon import climb, reaches
 from det2stoc_bayes.mismatch.judgement import Judgement, judge
@@ -191,7 +191,7 @@ def _search(before: Fit, progress: Progress) -> _Search:
         return (told, Looks(progress)) if told is not None else (found, own or Looks(progress))
 
     def beside(fit: Fit, looks: Looks | None) -> Numerics | None:
-        if not fit.problem.effects or fit.noise_inflation < MODEL_ERROR:
+        if not fit.problem.effects or by_chance(fit):
             return None
         found, _ = error_at(fit, looks)
         return None if found is None else of_believed(found, before)

@@ -1,61 +1,15 @@
 """The top of a rough likelihood is found by a quadratic through many points, and said to be as uncertain as it is."""
 
-from functools import cached_property
-
 import numpy as np
 import pytest
+from rough import TRUTH, Rough, smooth_top
 
 from det2stoc_bayes.mismatch.contact import top
 from det2stoc_bayes.mismatch.contact.converged import no_surer_than_steps
 from det2stoc_bayes.mismatch.contact.differences import columns_of
 from det2stoc_bayes.mismatch.contact.fit import at
-from det2stoc_bayes.mismatch.contact.followed import FARTHEST, Followed
+from det2stoc_bayes.mismatch.contact.followed import FARTHEST
 from det2stoc_bayes.mismatch.contact.top import topped, widened
-from det2stoc_bayes.unknowns import Unknowns
-
-TRUTH = np.array([0.4, -0.3])
-
-
-class Rough(Followed):
-    """A linear model of 400 samples of noise 1; of a sixth a contact is made or broken within a fraction of a sd."""
-
-    size, num_psi, floor, effects, unknowns, timestep = 2, 2, np.full(2, -np.inf), (), Unknowns((), ()), None
-    recording = cached_property(lambda _: np.zeros(40, int))
-    volumes = cached_property(lambda _: np.zeros(40))
-    shape = (40, 10, 1)
-    rough: float
-    seed: int
-    columns: np.ndarray
-    phase: np.ndarray
-    values: np.ndarray
-
-    def __init__(self, seed, rough):
-        random = np.random.default_rng(seed)
-        object.__setattr__(self, "problem", self)
-        object.__setattr__(self, "rough", rough)
-        object.__setattr__(self, "seed", seed)
-        object.__setattr__(self, "columns", np.column_stack([np.ones(400), random.standard_normal(400)]))
-        object.__setattr__(self, "phase", random.uniform(0, 2 * np.pi, 400))
-        object.__setattr__(self, "values", self.columns @ TRUTH + random.standard_normal(400))
-
-    def probes(self):
-        return [np.array([0]), np.array([1])]
-
-    def nudge(self, z, which, size):
-        return size
-
-    def errors(self, z):
-        foretold = z @ self.columns.T
-        jump = self.rough * np.sign(np.sin(150 * foretold + self.phase)) * (np.arange(400) % 6 == 0)
-        return (self.values - foretold - jump).reshape(len(z), 40, 10, 1)
-
-
-def smooth_top(seed):
-    model = Rough(seed, 0.0)
-    fit = at(model, TRUTH)
-    for _ in range(5):
-        fit = at(model, fit.z + np.linalg.solve(fit.gram, fit.slopes.sum(0) - fit.z))
-    return fit
 
 
 def test_where_nothing_is_rough_the_top_stays():

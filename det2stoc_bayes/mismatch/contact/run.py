@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact.believed import believed, finer
 from det2stoc_bayes.mismatch.contact.compose import ContactComposer
+from det2stoc_bayes.mismatch.contact.ends import NUM_ENDS, no_surer_than_ends
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.judge import Verdict, classes, judged, surely_little, topped_pair
@@ -89,10 +90,20 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         if alone:  # beyond its bumps psi may be led astray: where it was found before is as likely
             before = base = replace(base, fit=widened(base.fit, first.fit.z))
     said = judged(before, rounds, seed, base, rod)
+    if said.verdict == "mismatch":
+        said = _no_surer_than_ends(said, rounds, seed, progress)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
     composer = ContactComposer(said, when, seed)
     progress("scoring held-out recordings", 1, 1)
     return composer, _patch(said, composer)
+
+
+def _no_surer_than_ends(said: Verdict, rounds: Sequence[Round], seed: int, progress: Progress) -> Verdict:
+    """The same, told of its unknowns no surer than by where fits end that begin about it."""
+    luck, tell = max(r.luck for r in rounds), partial(progress, "fitting from elsewhere")
+    fit = no_surer_than_ends(said.after.fit, luck, np.random.default_rng([seed, 17]), lambda k: tell(k, NUM_ENDS))
+    tell(1, 1)
+    return replace(said, after=replace(said.after, fit=fit))
 
 
 def _by_steps_that_tell(pair: Pair) -> Pair:

@@ -77,10 +77,13 @@ def _stretched(
     return out
 
 
-def widened(fit: ContactFit, z: Float[np.ndarray, " size"]) -> ContactFit:
-    """The hypothesis, its covariance widened by how far from it another search for its top has ended."""
-    apart = np.outer(fit.z - z, fit.z - z)
-    wide = replace(fit, rough=apart if fit.rough is None else fit.rough + apart)
+def widened(fit: ContactFit, *ends: Float[np.ndarray, " size"]) -> ContactFit:
+    """The hypothesis, its covariance widened by how far from it other searches for its top have ended."""
+    if not ends:
+        return fit
+    apart = np.stack(ends) - fit.z
+    rough = apart.T @ apart / len(ends)
+    wide = replace(fit, rough=rough if fit.rough is None else fit.rough + rough)
     wide.__dict__.update((k, v) for k, v in fit.__dict__.items() if k == "differences")  # they are the same
     return wide
 
