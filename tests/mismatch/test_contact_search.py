@@ -92,6 +92,24 @@ def test_a_hypothesis_goes_beyond_bumps_where_they_are_high_alone(followed, prob
     assert search.beyond_bumps(stuck, search.BUMPY).fit.loss < stuck.fit.loss
 
 
+@pytest.mark.parametrize(("share", "led"), [(0.88, True), (0.5, False)])
+def test_who_gains_much_on_a_bump_is_fitted_with_the_leaders_memory(followed, problem, pool, monkeypatch, share, led):
+    """No longer memory serves a friction that is a little wrong; who gains little stays where it is."""
+    drag, wind = named(pool, "linear_drag"), named(pool, "quadratic_drag")
+    base = pair_of(followed, [0.0])
+    leader = pair_of(followed.remembering(50.0), [z_of(problem, TRUTH), 0.0], drag)
+    stuck = pair_of(followed, [z_of(problem, share * TRUTH), 0.02], wind)
+    assert (stuck.gain(base) > search.CONTENDS * leader.gain(base)) == led
+    monkeypatch.setattr(search, "longest", lambda pair, luck: pair)
+    found = {p.placed: p for p in search.near_remembered(base, [leader, stuck], 2.0, quiet)}
+    assert found[drag] is leader
+    if not led:
+        assert found[wind] is stuck
+        return
+    assert found[wind].fit.followed.memory == 50.0 and found[wind].height < stuck.height
+    assert 0.85 * TRUTH < found[wind].fit.problem.psi(found[wind].fit.z).item() < 1.05 * TRUTH
+
+
 @pytest.mark.parametrize(("of_base", "of_best", "luck"), [(100.0, 6.0, 8.0), (10.0, 6.0, 10.0), (2.0, 60.0, 60.0)])
 def test_an_addition_that_leads_out_of_what_rattles_is_judged_by_its_own_bumps(
     followed, problem, pool, monkeypatch, of_base, of_best, luck

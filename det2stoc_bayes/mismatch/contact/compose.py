@@ -184,6 +184,11 @@ class ContactComposer:
                     f"Something was left out; the nearest in the catalogue ({', '.join(each)}) may stand for something "
                     f"else: {', '.join(strain)} lies far out in its prior beside it."
                 )
+            if said.told_worse:
+                return (
+                    f"Something was left out; the nearest in the catalogue ({each[0]}) foretells "
+                    f"{', '.join(said.told_worse)} of recordings that were not fitted worse than the believed model."
+                )
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         gone = drop(fit, "it" if len(effects) == 1 else "them")
         told = [*(e.statement for e in effects), gone, open_beside(candidates), self._finer()]

@@ -10,6 +10,7 @@ from det2stoc_bayes.mismatch.contact.chances import alike, chances
 from det2stoc_bayes.mismatch.contact.converged import no_surer_than_steps
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.pair import MEMORIES, Pair, paired, with_memory
+from det2stoc_bayes.mismatch.contact.rollouts import told_worse
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.search import Round
 from det2stoc_bayes.mismatch.contact.top import topped
@@ -45,6 +46,7 @@ class Verdict:
     rounds: tuple[Round, ...]
     negligible: tuple[tuple[Pair, float], ...] = ()
     open_place: tuple[Class, ...] = ()  # what could stand beside the effects named, none of it surely
+    told_worse: tuple[str, ...] = ()  # columns of held-out recordings that contradict the explanation
 
     @property
     def shown(self) -> Pair:
@@ -90,7 +92,8 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
         return Verdict("no_mismatch", shown, after=shown, places=(), explains=(), negligible=out, **common)
     # An effect beside which psi strains at its prior may stand for another.
     strain = strained(final.fit.problem, final.fit.z)
-    sure = all(p[0].chance >= SURE for p in places) and left < MOST_LEFT and not strain
+    worse = told_worse(before.held, final.held)
+    sure = all(p[0].chance >= SURE for p in places) and left < MOST_LEFT and not strain and not worse
     verdict = "mismatch" if sure else "inconclusive"
     if len(taken) > 1 and places[-1][0].chance < SURE <= min(p[0].chance for p in places[:-1]):
         others = _without(before, rounds, taken[-1], seed)
@@ -98,7 +101,7 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
         if others.verdict == "mismatch" and unmoved(told.z, told.covariance, final.fit.z[: len(told.z)]):
             return replace(others, open_place=places[-1])
     shown = before if sure else topped_pair(before, seed)
-    return Verdict(verdict, shown, after=final, places=places, explains=explains, **common)
+    return Verdict(verdict, shown, after=final, places=places, explains=explains, told_worse=worse, **common)
 
 
 def surely_little(before: Pair, final: Pair, rod: Yardstick) -> bool:

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from det2stoc_bayes.mismatch.contact.fit import SETTLED, ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.mismatch.contact.mimic import mimicking
 from det2stoc_bayes.mismatch.contact.regions import bordered
 from det2stoc_bayes.mismatch.contact.scales import Scales
 from det2stoc_bayes.mismatch.contact.screen import Promise
@@ -194,6 +195,15 @@ def with_memory(pair: Pair, memory: float) -> Pair:
         again = fit_followed(fit.followed.remembering(memory), fit.z, iterations=SKETCH, like=fit)
         known[memory] = paired(again, pair.held.followed)
     return known[memory]
+
+
+def led_as(leader: Pair, rival: Pair) -> Pair:
+    """A rival fitted with the leader's memory, from its own effect or from where it predicts as the leader does."""
+    fit, own = rival.fit, rival.placed.size
+    followed = fit.followed.remembering(leader.fit.followed.memory)
+    there = np.concatenate([leader.fit.z[: -leader.placed.size], fit.z[-own:]])
+    alike = mimicking(at(followed, there), leader.fit).z
+    return paired(fit_followed(followed, there, others=[alike, fit.z], like=fit), rival.held.followed)
 
 
 def without_last(pair: Pair, memory: float) -> ContactFit:

@@ -10,6 +10,7 @@ from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.segments import Segments, from_pieces
 
 LENGTH = 20  # samples that are predicted beyond a start
+WORSE, STAYS = 1.2, 0.3  # times the error of a column, and share of all beyond noise: what contradicts an explanation
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,3 +58,18 @@ def rollouts(fit: ContactFit) -> Rollouts:
     predicted = there.simulator.rollout(there.request(fit.z[None], start))
     errors = there.residuals(predicted).reshape(predicted.shape)
     return Rollouts(there.segments, predicted, np.where(there.segments.observed, errors, np.nan))
+
+
+def told_worse(before: ContactFit, after: ContactFit) -> tuple[str, ...]:
+    """Columns that an explanation foretells worse over stretches, where it leaves much of the error beyond noise.
+
+    Innovations forgive what is wrong at every sample; over stretches a wrong law adds up. Columns that are not heard
+    rattle, and differ by chance.
+    """
+    problem, heard = before.problem, before.followed.heard
+    rmse = np.stack([rollouts(fit).rmse() for fit in (before, after)])
+    rmse = rmse if heard is None else np.where(heard, rmse, np.nan)
+    first, last = np.maximum((rmse / problem.noise) ** 2 - 1, 0.0)
+    if not np.nansum(last) > STAYS * np.nansum(first):
+        return ()
+    return tuple(np.array(problem.segments.columns)[rmse[1] > WORSE * rmse[0]].tolist())

@@ -13,6 +13,7 @@ from det2stoc_bayes.mismatch.contact.pair import (
     SKETCH,
     Pair,
     finished,
+    led_as,
     nearer,
     on_all,
     paired,
@@ -38,6 +39,7 @@ BEGUN, DRAWN, FITTED = 0.2, 0.4, 0.6  # of the best's gain: who has less after a
 LEAST_PROMISE = 0.3  # of what an addition must earn: what is screened at less is not fitted
 MOST_AGAIN = 20  # candidates that are screened anew where a leader ended
 NEAR = 0.3  # share of the best's gain behind which none comes near any more
+CONTENDS = 0.5  # of the best's gain: who has more may have ended on a bump
 SO_HIGH = 10.0  # times as high as bumps: a lead that they do not turn
 CALM = 0.5  # of the height of the base's bumps: lower ones about an addition,
 MOST_FURTHER = 3  # times that it goes beyond them and on
@@ -217,13 +219,18 @@ def _each[T, S](
 def near_remembered(base: Pair, found: Sequence[Pair], luck: float, progress: Progress) -> list[Pair]:
     """Best first, those that come near the best each with the memory that serves it best.
 
-    A short memory forgives what is wrong: with a longer one the right effect gains most.
+    A short memory forgives what is wrong: with a longer one the right effect gains most. Who gains much and ended on a
+    bump, which no longer memory serves, is fitted with the best's from where it predicts as that does.
     """
     near = _near(base, found)
-    tell = partial(progress, "remembering longer")
-    longer = side_by_side(base.fit.problem, partial(longest, luck=luck), near, lambda k: tell(k, len(near)))
-    progress("remembering longer", 1, 1)
-    return best_of_each([*found, *longer])
+    contending = {p.placed for p in found if p.gain(base) > CONTENDS * found[0].gain(base)}
+    tell, whole = partial(progress, "remembering longer"), len(near) + len(contending)
+    longer = side_by_side(base.fit.problem, partial(longest, luck=luck), near, lambda k: tell(k, whole))
+    best, *others = best_of_each([*found, *longer])
+    behind = [p for p in others if p.placed in contending and p.fit.followed.memory < best.fit.followed.memory]
+    led = side_by_side(base.fit.problem, partial(led_as, best), behind, lambda k: tell(len(near) + k, whole))
+    tell(1, 1)
+    return best_of_each([best, *others, *led])
 
 
 def longest(pair: Pair, luck: float) -> Pair:
