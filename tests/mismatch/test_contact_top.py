@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rough import TRUTH, Rough, smooth_top
+from rough import TRUTH, Fixed, Rough, smooth_top
 
 from det2stoc_bayes.mismatch.contact import top
 from det2stoc_bayes.mismatch.contact.converged import no_surer_than_steps
@@ -74,12 +74,6 @@ def test_an_unknown_of_which_nothing_shows_stays_though_far_off_something_does()
 
 
 def test_nothing_is_looked_for_without_unknowns():
-    class Fixed(Rough):
-        size, num_psi, floor = 0, 0, np.zeros(0)
-
-        def errors(self, z):
-            return np.zeros((len(z), 40, 10, 1))
-
     fit = at(Fixed(0, 0.0), np.zeros(0))
     assert topped(fit, np.random.default_rng(0)) is fit
 

@@ -197,7 +197,7 @@ def with_memory(pair: Pair, memory: float) -> Pair:
     return known[memory]
 
 
-def led_as(leader: Pair, rival: Pair) -> Pair:
+def caught_up(rival: Pair, leader: Pair) -> Pair:
     """A rival fitted with the leader's memory, from its own effect or from where it predicts as the leader does."""
     fit, own = rival.fit, rival.placed.size
     followed = fit.followed.remembering(leader.fit.followed.memory)

@@ -12,8 +12,8 @@ from det2stoc_bayes.mismatch.contact.merit import HELD_GAIN, earns, gain_by_chan
 from det2stoc_bayes.mismatch.contact.pair import (
     SKETCH,
     Pair,
+    caught_up,
     finished,
-    led_as,
     nearer,
     on_all,
     paired,
@@ -228,7 +228,7 @@ def near_remembered(base: Pair, found: Sequence[Pair], luck: float, progress: Pr
     longer = side_by_side(base.fit.problem, partial(longest, luck=luck), near, lambda k: tell(k, whole))
     best, *others = best_of_each([*found, *longer])
     behind = [p for p in others if p.placed in contending and p.fit.followed.memory < best.fit.followed.memory]
-    led = side_by_side(base.fit.problem, partial(led_as, best), behind, lambda k: tell(len(near) + k, whole))
+    led = side_by_side(base.fit.problem, partial(caught_up, leader=best), behind, lambda k: tell(len(near) + k, whole))
     tell(1, 1)
     return best_of_each([best, *others, *led])
 
