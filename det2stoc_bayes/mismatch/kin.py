@@ -34,7 +34,8 @@ def with_kin(slot: Slot, own: Ranked) -> Slot:
     there = log_evidence(own.fit, share)
     enough = {placed for placed, fit in fits.items() if log_evidence(fit, share) >= there}
     alike = [start for placed, start in _starts(slot, own) if placed not in enough]
-    starts = alike[:MOST] + [start for _, start in _simpler(slot, own, enough)][:MOST]
+    limits = [start for placed, start in _limits(slot, own) if placed not in enough]
+    starts = limits + alike[:MOST] + [start for _, start in _simpler(slot, own, enough)][:MOST]
     if not starts:
         return slot
     for f in _fitted(starts, own):
@@ -79,6 +80,20 @@ def _simpler(
     least = (KIN if by_chance(own.fit) else AKIN) * beside.gain(own.fit)
     near = sorted((s for s in best.values() if s.gain > least), key=lambda s: -s.gain)
     return [(s.placed, added(bare, s.change, [(s, s.coefficients)])) for s in near]
+
+
+def _limits(slot: Slot, own: Ranked) -> list[tuple[PlacedEffect, tuple[Problem, Point]]]:
+    """What the effect comes to at the end of a range of its parameters, its other unknowns as its fit has them.
+
+    After impacts responses are far from linear: that one predicts the same is known by law, and not seen by columns.
+    """
+    values = {k: v[0] for k, v in own.fit.problem.effect_values(own.fit.point.z[None])[-1].items()}
+    limits, near = own.placed.effect.limits(values), []
+    for placed in (s.placed for s in slot.screened if s.placed.element == own.placed.element):
+        if placed.effect.name in limits:
+            block = placed.effect.to_normal(limits[placed.effect.name], placed.typical)
+            near.append((placed, _instead(own, [placed], [block])))
+    return near
 
 
 def truer_pair(slot: Slot, own: Ranked, needed: float) -> Fit | None:
@@ -151,11 +166,19 @@ def _start(
     own: Ranked, trials: Sequence[Screened], coefficients: Sequence[Float[np.ndarray, " columns"]]
 ) -> tuple[Problem, Point]:
     """The hypothesis with trials in an effect's place, its other unknowns as its fit has them."""
-    fit, blocks = own.fit, []
+    blocks = []
     for s, values in zip(trials, coefficients, strict=True):
         effect, typical = s.placed.effect, s.placed.typical
         block = effect.to_normal(effect.combine(s.trial, values, typical), typical)
         blocks.append(np.maximum(block, effect.floor(typical)))
+    return _instead(own, [s.placed for s in trials], blocks)
+
+
+def _instead(
+    own: Ranked, effects: Sequence[PlacedEffect], blocks: Sequence[Float[np.ndarray, " unknowns"]]
+) -> tuple[Problem, Point]:
+    """The hypothesis with others in an effect's place, the other unknowns as its fit has them."""
+    fit = own.fit
     z = np.concatenate([fit.point.z[: fit.problem.size - own.placed.size], *blocks])
-    problem = fit.problem.with_effects((*fit.problem.effects[:-1], *(s.placed for s in trials)))
+    problem = fit.problem.with_effects((*fit.problem.effects[:-1], *effects))
     return problem, Point(z, fit.point.start)

@@ -88,14 +88,16 @@ def of_believed(found: Numerics, believed: Fit) -> Numerics | None:
 def converging(fit: Fit, numerics: Numerics | None) -> tuple[Fit, Numerics | None]:
     """A fit at a finer step, and what is told of that, by steps that converge for this very fit over its stretches.
 
-    Those by which what was recorded was simulated stay.
+    Those by which what was recorded was simulated stay, and those that recordings prefer.
     """
     if numerics is not None and numerics.simulated:
         return fit, numerics
     step = fit.problem.timestep
     found = None if step is None else _converged(fit, step, _moved)
-    better = None if found is None else by_steps(fit, found[0], found[1])
-    if found is None or better is None:
+    if found is None or _promise(fit, found[2]) < -threshold(1):
+        return fit, numerics
+    better = by_steps(fit, found[0], found[1])
+    if better is None:
         return fit, numerics
     if numerics is not None:
         plain = by_steps(numerics.fit, found[0], found[1]) or numerics.fit

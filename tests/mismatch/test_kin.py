@@ -89,6 +89,26 @@ def test_a_simpler_law_that_promised_less_from_afar_is_tried_where_the_larger_on
     assert first.fit.chi2 == pytest.approx(best.chi2, rel=0.05)
 
 
+def test_a_limit_of_a_law_is_tried_whatever_its_columns_say(tmp_path):
+    """Of the same joint alone, from values near the law's own."""
+
+    def change(model):
+        model.dof_frictionloss[:] = 0.8
+
+    problem = spring_problem(tmp_path, change=change, noise=1e-3)
+    base = fit(problem)
+    large, small = (place(problem, n, "slide", SMALL) for n in ("stribeck_friction", "coulomb_friction"))
+    best = fit(problem.with_effects([large]), np.concatenate([base.point.z, [4.0, 0.1, 0.0]]))
+    own = Ranked(large, best, log_evidence(best) - log_evidence(base))
+    unpromising = tuple(replace(s, response=None, others=(), gain=0.0) for s in screen(base, [large, small]))
+    elsewhere = replace(small, element=replace(small.element, name="other"))
+    slot = Slot(base, (*unpromising, replace(unpromising[0], placed=elsewhere)), (own,))
+    assert not kin._simpler(slot, own) and [placed for placed, _ in kin._limits(slot, own)] == [small]
+    first, second = with_kin(slot, own).ranked
+    assert (first.placed, second.placed) == (small, large) and first.gain > own.gain
+    assert first.fit.chi2 == pytest.approx(best.chi2, rel=0.05)
+
+
 @pytest.fixture(scope="module")
 def swings(tmp_path_factory):
     """Swings under weaker gravity and a constant force, and what a spring, which comes first, makes of them."""

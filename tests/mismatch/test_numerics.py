@@ -196,6 +196,18 @@ def test_a_step_that_does_not_converge_for_what_is_told_is_changed(tmp_path, mon
     assert converging(base, None) == (base, None)  # the believed steps are asked for elsewhere
 
 
+def test_a_step_that_recordings_prefer_is_kept(tmp_path):
+    """What was recorded of a simulation has its error, which no smaller step has."""
+    base = believed(tmp_path, COARSE)
+    own = fit(replace(base.problem, timestep=0.01, integrator="Euler"))
+    recorded = own.problem.simulator.rollout(own.problem.request(own.point.z[None], own.point.start))
+    segments = replace(own.problem.segments, values=recorded.reshape(own.problem.segments.values.shape))
+    told = fit(replace(own.problem, segments=segments), own.point.z)
+    step = Numerics(0.01, "Euler", 50.0, base)
+    assert converging(told, step) == (told, step)
+    assert converging(own, step)[0].problem.integrator == "RK4"
+
+
 def _looked_for(monkeypatch, base, first, better):
     """What is searched of a fit where the first explanation is one fit, and by finer steps another."""
     searched = []

@@ -21,6 +21,7 @@ __all__ += ["Trial", "Typical", "normal", "onehot"]
 COLUMN_UNIT = "unit of the column"
 COMMAND_UNIT = "unit of u"
 AXES = "xyz"
+SMALL = 0.01  # of an effect's prior scale, at which columns stand
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,6 @@ class Trial:
     columns: tuple[Mapping[str, Any], ...]
     sd: float = 100.0
     one_sided: bool = False  # a negative coefficient is no such effect
-
-
-SMALL = 0.01  # of an effect's prior scale, at which columns stand
 
 
 class Effect:
@@ -114,6 +112,10 @@ class Effect:
     def components(self) -> tuple[str, ...]:
         """A name for each unknown."""
         return tuple(c for p in self.unknown for c in p.components)
+
+    def limits(self, values: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        """Simpler effects of the same element that this one is at the end of a range, with values near its own."""
+        return {}
 
     def scalars(self, values: Mapping[str, Array]) -> list[Array]:
         """Parameter values as one array for each of `components`."""

@@ -55,6 +55,10 @@ class StribeckFriction(DryFriction):
         """Neither friction in motion nor what it has more at rest is negative."""
         return np.array([0.0, 0.0, -np.inf])
 
+    def limits(self, values):
+        """No peak."""
+        return {"coulomb_friction": {"force": values["coulomb"]}}
+
     def trials(self, typical):
         """Friction of constant size and the peak at rest as two columns, for a few widths of the peak."""
         step = 0.003 * typical.force
