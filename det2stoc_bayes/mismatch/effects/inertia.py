@@ -81,15 +81,15 @@ class PayloadMass(BodyEffect):
     complexity = 3
 
     def priors(self, typical):
-        """A fraction of the mass, within a few radii of gyration."""
-        return {"mass": normal(0.2 * typical.inertia), "offset": normal(2 * typical.span)}
+        """About half the mass, or as much, within a few radii of gyration."""
+        return {"mass": normal(0.5 * typical.inertia), "offset": normal(2 * typical.span)}
 
     def trials(self, typical):
         """A small mass at the frame's origin, and what its first moment adds, for two reaches; and one on each axis.
 
         In the mass's first order a column at an offset is mass + first moment + second moment.
         """
-        mass, (_, offset) = 0.002 * typical.inertia, self.parameters
+        mass, (_, offset) = 0.005 * typical.inertia, self.parameters
         near, far = (unit_columns(offset, reach * typical.span, mass=mass) for reach in (0.7, REACH))
         opposite = unit_columns(offset, -REACH * typical.span, mass=mass)
         at_origin = {"mass": mass, "offset": (0.0, 0.0, 0.0)}
