@@ -158,11 +158,14 @@ def alternatives(rest: Sequence[Class], limit: int = 5) -> list[finding.Alternat
 
 def likeliest(candidates: Sequence[finding.Alternative], limit: int = 3) -> list[str]:
     """The first candidates in words, but for those of 0 %."""
-    return [
-        f"{c.name.replace('_', ' ')} on {c.element.name} ({c.probability:.0%})"
-        for c in candidates[:limit]
-        if c.element and c.probability >= LEAST_TOLD
-    ]
+    likely = [c for c in candidates[:limit] if c.element and c.probability >= LEAST_TOLD]
+    return [f"{called(c)} ({c.probability:.0%})" for c in likely]
+
+
+def called(candidate: finding.Alternative) -> str:
+    """As `com offset on puck`."""
+    name = candidate.name.replace("_", " ")
+    return f"{name} on {candidate.element.name}" if candidate.element else name
 
 
 def open_beside(candidates: Sequence[finding.Alternative]) -> str:

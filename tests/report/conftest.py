@@ -267,3 +267,9 @@ def half_open() -> str:
     """The page of a finding that names one effect and cannot tell what else is missing."""
     told = make_finding("mismatch") | {k: v for k, v in _open_question().items() if k in ("candidates", "experiment")}
     return diagnosis_page(told, make_fit("mismatch"), study_name="arm")
+
+
+@pytest.fixture(scope="module")
+def open_question() -> tuple[dict[str, Any], xr.DataTree]:
+    """A finding that cannot tell two candidates apart, and its arrays."""
+    return make_finding("inconclusive"), make_fit("inconclusive")

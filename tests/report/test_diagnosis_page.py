@@ -107,6 +107,13 @@ def test_the_fixture_is_a_valid_finding(finding) -> None:
     Finding(**finding)
 
 
+@pytest.mark.parametrize(("odds", "heading"), [((0.55, 0.41), "do not part"), ((0.998, 0.002), "Nearest, which")])
+def test_a_lone_candidate_is_no_tie(open_question, odds, heading) -> None:
+    finding, fit = open_question
+    candidates = [c | {"probability": p} for c, p in zip(finding["candidates"], odds, strict=True)]
+    assert heading in Page(diagnosis_page(finding | {"candidates": candidates}, fit, study_name="arm")).words()
+
+
 def test_what_is_open_beside_what_is_named_is_told(half_open) -> None:
     page = Page(half_open)
     words = page.words()

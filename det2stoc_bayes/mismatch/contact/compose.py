@@ -17,6 +17,7 @@ from det2stoc_bayes.mismatch.contact.rollouts import rollouts
 from det2stoc_bayes.mismatch.replay import replay
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element
 from det2stoc_bayes.mismatch.statements import (
+    called,
     drop,
     element,
     likeliest,
@@ -175,8 +176,8 @@ class ContactComposer:
             each = likeliest(candidates)
             if said.unexplained >= 0.5:
                 return (
-                    f"Something was left out; the nearest in the catalogue ({each[0]}) leaves {said.unexplained:.0%} "
-                    "of the error beyond noise and contact unexplained."
+                    f"Something was left out; the nearest in the catalogue ({called(candidates[0])}) leaves "
+                    f"{said.unexplained:.0%} of the error beyond noise and contact unexplained."
                 )
             strain = strained(said.after.fit.problem, said.after.fit.z)
             if strain:
@@ -186,7 +187,7 @@ class ContactComposer:
                 )
             if said.told_worse:
                 return (
-                    f"Something was left out; the nearest in the catalogue ({each[0]}) foretells "
+                    f"Something was left out; the nearest in the catalogue ({called(candidates[0])}) foretells "
                     f"{', '.join(said.told_worse)} of recordings that were not fitted worse than the believed model."
                 )
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
