@@ -1,5 +1,7 @@
 """How looks for additions follow each other where bodies touch, and where they end."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import make_study
@@ -9,6 +11,7 @@ from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact import run
 from det2stoc_bayes.mismatch.contact.fit import at
 from det2stoc_bayes.mismatch.contact.followed import Followed
+from det2stoc_bayes.mismatch.contact.judge import Verdict
 from det2stoc_bayes.mismatch.contact.pair import Pair
 from det2stoc_bayes.mismatch.contact.scales import Scales
 from det2stoc_bayes.mismatch.contact.search import Round
@@ -64,3 +67,17 @@ def test_a_first_addition_that_surely_takes_little_off_ends_it(
         run.diagnosed(problem, 0, lambda *_: None)
     assert len(asked) == len(ends[0]) == num_looks
     assert asked[0] is (not little or other_gains > 0) and all(asked[1:])
+
+
+@pytest.mark.parametrize("verdict", ["mismatch", "no_mismatch"])
+def test_what_is_told_is_no_surer_than_fits_that_begin_about_it(tmp_path, monkeypatch, verdict):
+    """Of the explanation, or where nothing is missing of the believed model, which then stands for both."""
+    problem = make_problem(Simulator(make_study(tmp_path / "study", XML.format(0.02), PSI, slides()), num_threads=1))
+    fits = [at(Followed(problem).on(problem.simulator.study.recordings[:1]), np.full(1, z)) for z in (0.0, 0.1)]
+    before, after = (Pair(f, f) for f in (fits if verdict == "mismatch" else fits[:1] * 2))
+    rod = Yardstick((), Scales(np.ones(13)), 1.0, 0)
+    said = Verdict(verdict, before, after, (), (), 0.0, 0.0, rod, ())
+    monkeypatch.setattr(run, "no_surer_than_ends", lambda f, *_: replace(f, rough=np.ones((1, 1))))
+    told = run._no_surer_than_ends(said, [Round(before, (), (), None)], 0, lambda *_: None)
+    assert told.shown.fit.rough is not None and told.shown.fit.z == after.fit.z
+    assert told.before is (before if verdict == "mismatch" else told.after)

@@ -16,7 +16,8 @@ from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.judge import classes
 from det2stoc_bayes.mismatch.contact.pair import Pair, sketched, without_last
 from det2stoc_bayes.mismatch.contact.places import elements_of
-from det2stoc_bayes.mismatch.effects.base import PlacedEffect
+from det2stoc_bayes.mismatch.effects.actuator import ActuatorSaturation
+from det2stoc_bayes.mismatch.effects.base import Element, PlacedEffect, Typical
 from det2stoc_bayes.mismatch.effects.contact import ContactStiffness
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
@@ -267,6 +268,21 @@ def test_columns_have_the_size_that_promises_most(fit):
     assert kept[0] == (trials[best], size) and len(kept) <= screening.KEPT
     full = PlacedEffect(Whole(), placed.element, placed.typical)
     assert [size for _, size in screening._sized(fit, tell, full)] == [1.0]
+
+
+def test_what_is_absent_at_no_number_promises_by_its_columns_as_they_are(fit):
+    """A limit's trials are neither larger nor mirrored: what is infinite has no other side."""
+    limit = PlacedEffect(ActuatorSaturation(), Element("actuator", "motor", ctrl=0), Typical())
+    sized = [(t, 1.0) for t in limit.effect.trials(limit.typical)]
+    told = []
+
+    def tell(placed, tried):
+        told.extend(values["limit"] for values in tried)
+        return np.repeat(np.nan_to_num(fit.errors)[..., None], len(tried), -1)
+
+    found = screening._to_both_sides(fit, tell, limit, sized)
+    assert told == [t.columns[0]["limit"] for t, _ in sized] and all(np.isfinite(told))
+    assert all(p.gain > 0 for p in found)  # its columns are the errors themselves
 
 
 class Whole(ContactStiffness):

@@ -90,7 +90,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         if alone:  # beyond its bumps psi may be led astray: where it was found before is as likely
             before = base = replace(base, fit=widened(base.fit, first.fit.z))
     said = judged(before, rounds, seed, base, rod)
-    if said.verdict == "mismatch":
+    if said.verdict != "inconclusive":
         said = _no_surer_than_ends(said, rounds, seed, progress)
     when = conditions(said.before, said.after) if said.verdict == "mismatch" else []
     composer = ContactComposer(said, when, seed)
@@ -101,9 +101,10 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
 def _no_surer_than_ends(said: Verdict, rounds: Sequence[Round], seed: int, progress: Progress) -> Verdict:
     """The same, told of its unknowns no surer than by where fits end that begin about it."""
     luck, tell = max(r.luck for r in rounds), partial(progress, "fitting from elsewhere")
-    fit = no_surer_than_ends(said.after.fit, luck, np.random.default_rng([seed, 17]), lambda k: tell(k, NUM_ENDS))
+    fit = no_surer_than_ends(said.shown.fit, luck, np.random.default_rng([seed, 17]), lambda k: tell(k, NUM_ENDS))
     tell(1, 1)
-    return replace(said, after=replace(said.after, fit=fit))
+    told = replace(said.shown, fit=fit)
+    return replace(said, after=told) if said.verdict == "mismatch" else replace(said, before=told, after=told)
 
 
 def _by_steps_that_tell(pair: Pair) -> Pair:
