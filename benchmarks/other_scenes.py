@@ -79,6 +79,35 @@ ROVER = """<mujoco><option timestep="0.002" integrator="implicitfast" cone="elli
       <geom name="tyre_r" type="cylinder" euler="90 0 0" size="0.06 0.012" mass="0.2"
         friction="0.01 0.005 0.0001"/></body></body></worldbody>
   <actuator><motor name="ml" joint="left"/><motor name="mr" joint="right"/></actuator></mujoco>"""
+STOPS = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
+  <default><geom contype="0" conaffinity="0"/></default><worldbody>
+  <body name="upper" pos="0 0 1"><joint name="shoulder" type="hinge" axis="0 1 0" damping="0.03"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.015" mass="0.3"/>
+    <body name="fore" pos="0 0 -0.3"><joint name="elbow" type="hinge" axis="0 1 0" damping="0.02" limited="true"
+        range="-40 40"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.25" size="0.012" mass="0.2"/></body></body></worldbody>
+  <actuator><motor name="drive" joint="shoulder"/></actuator></mujoco>"""
+HOPPER = """<mujoco><option timestep="0.002" integrator="implicitfast" cone="elliptic"/>
+  <default><geom contype="0" conaffinity="0"/></default><worldbody>
+  <geom name="floor" type="plane" size="5 5 .1" friction="0.8 0.005 0.0001" contype="1" conaffinity="1"/>
+  <body name="trunk" pos="0 0 0.5"><joint name="x" type="slide" axis="1 0 0"/>
+    <joint name="z" type="slide" axis="0 0 1"/><geom type="box" size="0.1 0.05 0.05" mass="1.0"/>
+    <body name="thigh" pos="0 0 -0.05"><joint name="hip" type="hinge" axis="0 1 0" damping="0.1"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.015" mass="0.2"/>
+      <body name="shank" pos="0 0 -0.2"><joint name="knee" type="hinge" axis="0 1 0" damping="0.1"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.012" mass="0.1"/>
+        <geom name="foot" type="sphere" pos="0 0 -0.2" size="0.02" mass="0.05" friction="0.8 0.005 0.0001"
+          contype="1" conaffinity="1"/></body></body></body></worldbody>
+  <actuator><position name="hip_servo" joint="hip" kp="30" kv="1"/>
+    <position name="knee_servo" joint="knee" kp="30" kv="1"/></actuator></mujoco>"""
+PUSHER = """<mujoco><option timestep="0.002" integrator="implicitfast" cone="elliptic"/><worldbody>
+  <geom name="table" type="plane" size="5 5 .1" friction="0.4 0.005 0.0001"/>
+  <body name="block" pos="0.1 0 0.03"><freejoint name="free"/>
+    <geom name="block" type="box" size="0.04 0.06 0.03" mass="0.3" friction="0.4 0.005 0.0001"/></body>
+  <body name="pusher" pos="0 0 0.03"><joint name="push" type="slide" axis="1 0 0" damping="1"/>
+    <geom name="tip" type="capsule" fromto="0 0 -0.02 0 0 0.02" size="0.01" mass="0.5" friction="0.3 0.005 0.0001"/>
+  </body></worldbody><contact><exclude body1="world" body2="pusher"/></contact>
+  <actuator><position name="servo" joint="push" kp="300" kv="20"/></actuator></mujoco>"""
 type Random = np.random.Generator
 type Command = Callable[[Random], Callable[[float], Float[np.ndarray, " controls"]]]
 
@@ -167,6 +196,33 @@ def driving(data: mujoco.MjData, random: Random) -> None:
     data.qvel[:2], data.qvel[6:8] = random.normal(0.0, 0.2, 2), random.normal(0.0, 3.0, 2)
 
 
+def crouched(data: mujoco.MjData, random: Random) -> None:
+    """A hopper above the floor, its knee bent."""
+    bend = random.uniform(0.4, 0.7)
+    data.qpos[:] = 0.0, random.uniform(0.0, 0.1), bend, -2 * bend
+    data.qvel[0] = random.normal(0.0, 0.3)
+
+
+def hopping(random: Random) -> Callable[[float], Float[np.ndarray, " controls"]]:
+    """Commands that bend and stretch a leg."""
+    bend, (hip, knee) = random.uniform(0.5, 0.7), random.uniform(0.05, 0.25, 2)
+    rate, phase = 2 * np.pi * random.uniform(1.0, 3.0), random.uniform(0.0, 6.28)
+    return lambda t: np.array([bend, -2 * bend]) + np.array([hip, -knee]) * np.sin(rate * t + phase)
+
+
+def before_it(data: mujoco.MjData, random: Random) -> None:
+    """A block before a pusher, askew."""
+    turn = random.uniform(-0.3, 0.3)
+    place = random.uniform(0.07, 0.12), random.uniform(-0.03, 0.03), 0.03
+    data.qpos[:7] = *place, np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)
+
+
+def advancing(random: Random) -> Callable[[float], Float[np.ndarray, " controls"]]:
+    """A command that moves on and sways."""
+    speed, rate = random.uniform(0.1, 0.3), random.uniform(2.0, 6.0)
+    return lambda t: np.array([speed * t + 0.03 * np.sin(rate * t)])
+
+
 def hinged(*joints: str) -> tuple[str, ...]:
     """Columns of hinges and slides."""
     return (*(f"qpos/{j}" for j in joints), *(f"qvel/{j}" for j in joints))
@@ -176,6 +232,10 @@ SOCKET = (*(f"qpos/socket/{c}" for c in BALL_Q), *(f"qvel/socket/{c}" for c in B
 TURNED = tuple(
     c for kind, free_ones in (("qpos", FREE_Q), ("qvel", FREE_V))
     for c in (*(f"{kind}/base/{x}" for x in free_ones), f"{kind}/left", f"{kind}/right")
+)  # fmt: skip
+PUSHED = tuple(
+    c for kind, free_ones in (("qpos", FREE_Q), ("qvel", FREE_V))
+    for c in (*(f"{kind}/free/{x}" for x in free_ones), f"{kind}/push")
 )  # fmt: skip
 PLAIN = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 SCENES = {
@@ -212,5 +272,17 @@ SCENES = {
     "rover": Scene(
         ROVER, (*TURNED, "ctrl/ml", "ctrl/mr"), 1.5, driving,
         truncated("friction", "geom/floor/friction", 0.8, 0.12, "index = [0]\n"), swaying(2, 0.02, 0.06), PLAIN,
+    ),
+    "stops": Scene(
+        STOPS, (*hinged("shoulder", "elbow"), "ctrl/drive"), 3.0, bent,
+        truncated("damping", "joint/elbow/damping", 0.02, 0.006), swaying(1, 0.0, 1.2),
+    ),
+    "hopper": Scene(
+        HOPPER, (*hinged("x", "z", "hip", "knee"), "ctrl/hip_servo", "ctrl/knee_servo"), 2.0, crouched,
+        truncated("friction", "geom/floor/friction", 0.8, 0.12, "index = [0]\n"), hopping, PLAIN,
+    ),
+    "pusher": Scene(
+        PUSHER, (*PUSHED, "ctrl/servo"), 2.0, before_it,
+        truncated("friction", "geom/table/friction", 0.4, 0.08, "index = [0]\n"), advancing, PLAIN,
     ),
 }  # fmt: skip

@@ -132,6 +132,16 @@ def giving(actuator: str, share: float) -> Prepare:
     return changing(give)
 
 
+def clipped(actuator: str, limit: float) -> Prepare:
+    """An actuator that takes commands up to a limit."""
+
+    def clip(model: mujoco.MjModel) -> None:
+        i = model.actuator(actuator).id
+        model.actuator_ctrllimited[i], model.actuator_ctrlrange[i] = 1, (-limit, limit)
+
+    return changing(clip)
+
+
 NOTHING = changing(lambda model: None)
 CASES: dict[str, Case] = {
     "drone-drag": (Hidden("drone", dragging(0.15)), "linear_drag", "drone"),
@@ -155,6 +165,13 @@ CASES: dict[str, Case] = {
     "bounce-nothing": (Hidden("bounce", NOTHING), "", ""),
     "rover-gain": (Hidden("rover", giving("mr", 0.8)), "actuator_gain", "mr"),
     "rover-nothing": (Hidden("rover", NOTHING), "", ""),
+    "stops-nothing": (Hidden("stops", NOTHING), "", ""),
+    "stops-friction": (Hidden("stops", rubbing("elbow", 0.02)), "coulomb_friction", "elbow"),
+    "stops-cubic": (Hidden("stops", hardening("shoulder", 0.5)), "cubic_stiffness", "shoulder"),
+    "hopper-saturation": (Hidden("hopper", clipped("knee_servo", 1.2)), "actuator_saturation", "knee_servo"),
+    "hopper-nothing": (Hidden("hopper", NOTHING), "", ""),
+    "pusher-tilt": (Hidden("pusher", changing(tilted)), "gravity_tilt", "world"),
+    "pusher-nothing": (Hidden("pusher", NOTHING), "", ""),
 }
 
 
