@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from det2stoc_bayes.cli_given import KINDS, load, made_by, study_or_problem
+from det2stoc_bayes.cli_given import KINDS, load, made_by, new_folder, study_or_problem
 from det2stoc_bayes.cli_help import EXAMPLES, SHELL, experiments, methods, starting
 from det2stoc_bayes.errors import Det2StocError, listing
 from det2stoc_bayes.files import check_folder, check_kept
@@ -72,7 +72,7 @@ def check(study: StudyFolder, seed: Seed = 0, as_json: Json = False, debug: Debu
 @app.command(epilog=EXAMPLES["fit"])
 def fit(
     study: StudyFolder,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where fit.nc goes.", show_default=False)],
+    out: Annotated[Path, new_folder("Where fit.nc goes.")],
     method: Annotated[
         str, typer.Option(metavar="NAME", help=f"One of: {METHODS}.", autocompletion=starting(methods))
     ] = "nuts",
@@ -118,7 +118,7 @@ def compare(
             metavar="A,B,...", help=f"Of: {METHODS}; {REFINED}.", autocompletion=starting(methods, listed=True)
         ),
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where runs and report go.", show_default=False)],
+    out: Annotated[Path, new_folder("Where runs and report go.")],
     engine: Annotated[Literal["c", "mjx"], typer.Option(help="MuJoCo in C, or in JAX.")] = "c",
     num_samples: Annotated[
         int, typer.Option(min=LEAST_DRAWS, max=MOST_DRAWS, help=f"Draws in all, of each method; {EQUAL}.")
@@ -165,7 +165,7 @@ def calibrate(
     method: Annotated[
         str, typer.Option(metavar="NAME", help=f"One of: {METHODS}; {REFINED}.", autocompletion=starting(methods))
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where replications and report go.", show_default=False)],
+    out: Annotated[Path, new_folder("Where replications and report go.")],
     num_replications: Annotated[
         int, typer.Option(min=20, max=MOST_DRAWS, help="Simulated and fitted data sets.")
     ] = 500,
@@ -199,7 +199,7 @@ def calibrate(
 @app.command(epilog=EXAMPLES["diagnose"])
 def diagnose(
     study: StudyFolder,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the report goes.", show_default=False)],
+    out: Annotated[Path, new_folder("Where the report goes.")],
     exact: Annotated[bool, typer.Option("--exact", help="Draw the final posteriors by NUTS, and compare.")] = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -224,7 +224,7 @@ def reproduce(
     experiment: Annotated[
         str, typer.Argument(metavar="NAME", help=", ".join(experiments()), autocompletion=starting(experiments))
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.", show_default=False)],
+    out: Annotated[Path, new_folder("Where the results go.")],
     quick: Annotated[bool, typer.Option("--quick", help="A look in minutes.")] = False,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: two, one on a lone core or a GPU.")] = 0,
     seed: Seed = 0,
@@ -249,7 +249,7 @@ def reproduce(
 def export(
     study: StudyFolder,
     posterior_file: Annotated[Path, typer.Argument(metavar="FIT", help="fit.nc or its folder.", show_default=False)],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the draws go.", show_default=False)],
+    out: Annotated[Path, new_folder("Where the draws go.")],
     draws: Annotated[int, typer.Option(min=1, max=MOST_DRAWS, help="How many.")] = 100,
     models: Annotated[bool, typer.Option("--models/--no-models", help="An MJCF a draw, beside the table.")] = True,
     seed: Seed = 0,

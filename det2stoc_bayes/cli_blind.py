@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from det2stoc_bayes.cli import Cluster, Debug, Json, app
+from det2stoc_bayes.cli_given import new_folder
 from det2stoc_bayes.cli_help import EXAMPLES
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import atomic_write, check_folder
@@ -30,7 +31,7 @@ def _count(what: str) -> Any:
 
 @app.command(epilog=EXAMPLES["blind"])
 def blind(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where log and report go.", show_default=False)],
+    out: Annotated[Path, new_folder("Where log and report go.")],
     studies: Annotated[int | None, _count("Of all kinds, for those without a number; 20 if none has one.")] = None,
     effects: Annotated[int | None, _count("Studies that conceal one effect.")] = None,
     pairs: Annotated[int | None, _count("Studies that conceal two.")] = None,

@@ -1,7 +1,9 @@
-"""What commands are given: a study's folder or a problem's name, and a fit that is there already."""
+"""What commands are given: a study's folder or a problem's name, a fit that is there already, and where results go."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import typer
 
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.models import PROBLEMS, VECTORS, no_study
@@ -10,6 +12,17 @@ if TYPE_CHECKING:
     import det2stoc_bayes.study  # a dotted name, so that the checker of the tests can look it up
 
 KINDS = ("a study's folder", *PROBLEMS)
+
+
+def new_folder(text: str, metavar: str = "DIR") -> Any:
+    """The option for a folder that results go to; an empty name, as of a variable that is not set, is none."""
+
+    def named(value: str) -> Path:
+        if not value.strip():
+            raise typer.BadParameter(f"found '{value}'; allowed: a folder's name, . for the present one")
+        return Path(value)
+
+    return typer.Option(metavar=metavar, help=text, show_default=False, parser=named)
 
 
 def study_or_problem(given: str, more: tuple[str, ...] = ()) -> "det2stoc_bayes.study.Study | str":

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from det2stoc_bayes.cli import Debug, Json, Seed, StudyFolder, app
+from det2stoc_bayes.cli_given import new_folder
 from det2stoc_bayes.cli_help import EXAMPLES
 from det2stoc_bayes.errors import listing
 from det2stoc_bayes.importers import FORMATS
@@ -25,7 +26,7 @@ def import_(
         str, typer.Argument(metavar="FORMAT", help=f"One of: {listing(FORMAT_NAMES)}.", show_default=False)
     ],
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="A file or a folder.", show_default=False)],
-    out: Annotated[Path, typer.Option(metavar="STUDY", help="The new study's folder.", show_default=False)],
+    out: Annotated[Path, new_folder("The new study's folder.", "STUDY")],
     model: Annotated[Path | None, typer.Option(metavar="FILE", help="The MJCF or URDF that is believed.")] = None,
     map_file: Annotated[Path | None, typer.Option("--map", metavar="FILE", help="TOML with all of these.")] = None,
     column: Annotated[list[str] | None, _each("COLUMN=SIGNAL", "Which signal a column is.")] = None,
@@ -70,7 +71,7 @@ def import_(
 @app.command(epilog=EXAMPLES["fetch"])
 def fetch(
     name: Annotated[str, typer.Argument(metavar="NAME", help=f"One of: {listing(NAMES)}.", show_default=False)],
-    out: Annotated[Path, typer.Option(metavar="STUDY", help="The new study's folder.", show_default=False)],
+    out: Annotated[Path, new_folder("The new study's folder.", "STUDY")],
     mirror: Annotated[str | None, typer.Option(metavar="DIR|URL", help="Holds OWNER/REPO/COMMIT/PATH; by default "
                                                "raw.githubusercontent.com.", show_default=False)] = None,
     unverified: Annotated[bool, typer.Option("--unverified", help="Take files that are not those expected.")] = False,
@@ -93,7 +94,7 @@ def fetch(
 @app.command("export-recordings", epilog=EXAMPLES["export-recordings"])
 def export_recordings(
     study: StudyFolder,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.", show_default=False)],
+    out: Annotated[Path, new_folder("Where the files go.")],
     to: Annotated[Literal["sysid"], typer.Option(help="The format: mujoco.sysid's .npz.")] = "sysid",
     seed: Seed = 0,
     as_json: Json = False,

@@ -21,7 +21,6 @@ from det2stoc_bayes.mismatch.refit import posed_alike, swap
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element, excess_beyond_chance
 from det2stoc_bayes.mismatch.statements import (
     alternatives,
-    called,
     draws,
     drop,
     element,
@@ -222,8 +221,8 @@ class Composer:
         if self.judged.verdict == "inconclusive":
             each = likeliest(candidates)
             if candidates and candidates[0].probability >= finding.SURE:
-                near, gone = called(candidates[0]), drop(fit, "the best that was found")
-                return f"Something was left out, and nothing found accounts for it; nearest is {near}. {gone}"
+                gone = drop(fit, "the best that was found")
+                return f"Something was left out, and nothing found accounts for it; nearest is {each[0]}. {gone}"
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."
         gone = drop(fit, "it" if len(effects) == 1 else "them")
         step, left = finer_step(self.judged.shown.problem), self.credence.predictive.text()

@@ -73,9 +73,15 @@ def _z_under(fit: Fit, simulator: Simulator) -> Float[np.ndarray, " psi"]:
     return np.array([float(p.prior.to_normal(v)) for p, v in zip(simulator.parameters, psi, strict=True)])
 
 
-def strained(problem: Problem, z: Float[np.ndarray, " size"]) -> list[str]:
-    """Names of psi that lie far out in their priors, of one that varies its population's mean."""
-    return [b.parameter.name for b in problem.unknowns.blocks if abs(z[b.begin]) > TENSION]
+def strained(
+    problem: Problem, z: Float[np.ndarray, " size"], sd: Float[np.ndarray, " size"] | None = None
+) -> list[str]:
+    """Names of psi that lie far out in their priors, of one that varies its population's mean.
+
+    By more than an `sd` of what is known of it: where recordings say nothing of one, a fit may end anywhere.
+    """
+    least = np.abs(z) - (0.0 if sd is None else sd)
+    return [b.parameter.name for b in problem.unknowns.blocks if least[b.begin] > TENSION]
 
 
 def _widened(parameter: Parameter) -> Parameter:

@@ -34,8 +34,9 @@ def with_kin(slot: Slot, own: Ranked) -> Slot:
     there = log_evidence(own.fit, share)
     enough = {placed for placed, fit in fits.items() if log_evidence(fit, share) >= there}
     alike = [start for placed, start in _starts(slot, own) if placed not in enough]
-    limits = [start for placed, start in _limits(slot, own) if placed not in enough]
-    starts = limits + alike[:MOST] + [start for _, start in _simpler(slot, own, enough)][:MOST]
+    limits = {placed: start for placed, start in _limits(slot, own) if placed not in enough}
+    simpler = [start for _, start in _simpler(slot, own, {*enough, *limits})]
+    starts = [*limits.values(), *alike[:MOST], *simpler[:MOST]]
     if not starts:
         return slot
     for f in _fitted(starts, own):
@@ -83,17 +84,18 @@ def _simpler(
 
 
 def _limits(slot: Slot, own: Ranked) -> list[tuple[PlacedEffect, tuple[Problem, Point]]]:
-    """What the effect comes to at the end of a range of its parameters, its other unknowns as its fit has them.
+    """Special cases of the effect on its element, its other unknowns as its fit has them.
 
     After impacts responses are far from linear: that one predicts the same is known by law, and not seen by columns.
     """
     values = {k: v[0] for k, v in own.fit.problem.effect_values(own.fit.point.z[None])[-1].items()}
-    limits, near = own.placed.effect.limits(values), []
-    for placed in (s.placed for s in slot.screened if s.placed.element == own.placed.element):
-        if placed.effect.name in limits:
-            block = placed.effect.to_normal(limits[placed.effect.name], placed.typical)
-            near.append((placed, _instead(own, [placed], [block])))
-    return near
+    limits, out = own.placed.effect.limits(values), []
+    for s in slot.screened:
+        placed, name = s.placed, s.placed.effect.name
+        if name in limits and placed.element == own.placed.element:
+            block = placed.effect.to_normal(limits[name], placed.typical)
+            out.append((placed, _instead(own, [placed], [np.maximum(block, placed.effect.floor(placed.typical))])))
+    return out
 
 
 def truer_pair(slot: Slot, own: Ranked, needed: float) -> Fit | None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.report import (
     belief_lines,
     contents,
@@ -53,6 +54,7 @@ def diagnosis_page(
         names=names,
         effects=[_effect(effect) for effect in finding["effects"]],
         candidates=contents.listed_candidates(finding["candidates"]),
+        doubted=any(c["probability"] >= SURE for c in finding["candidates"]),
         negligible=_negligible(finding),
         improvement=contents.improvement(finding["fit"], _units(rollouts)),
         bayes_factor=numbers.bayes_factor(finding["evidence"]["log10_bayes_factor"]),

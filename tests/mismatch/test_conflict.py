@@ -8,7 +8,7 @@ import pytest
 from simulated import fit, place, spring_problem
 
 from det2stoc_bayes.mismatch import diagnose
-from det2stoc_bayes.mismatch.conflict import as_well, in_doubt, needless, resolved
+from det2stoc_bayes.mismatch.conflict import as_well, in_doubt, needless, resolved, strained
 from det2stoc_bayes.mismatch.effects import Typical
 from det2stoc_bayes.mismatch.evidence import log_told
 from det2stoc_bayes.mismatch.explain import Explanation
@@ -33,6 +33,14 @@ def believed(folder, change=lambda model: None, push=None):
 def added(base, *effects):
     """The fit with effects of the catalogue beside psi."""
     return fit(base.problem.with_effects([place(base.problem, *e, TYPICAL) for e in effects]), max_iterations=20)
+
+
+def test_what_recordings_say_nothing_of_does_not_strain(tmp_path):
+    """A fit may leave it anywhere: of the two psi that lie far out one is known to within a tenth, one not at all."""
+    problem = spring_problem(tmp_path, 1e-3, PSI)
+    far = np.array([-3.3, 3.3])
+    assert strained(problem, far) == ["mass", "damping"]
+    assert strained(problem, far, np.array([0.1, 1.0])) == ["mass"]
 
 
 def test_effects_that_strained_a_prior_leave_it_as_declared(tmp_path):

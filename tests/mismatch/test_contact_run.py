@@ -69,15 +69,32 @@ def test_a_first_addition_that_surely_takes_little_off_ends_it(
     assert asked[0] is (not little or other_gains > 0) and all(asked[1:])
 
 
-@pytest.mark.parametrize("verdict", ["mismatch", "no_mismatch"])
+@pytest.mark.parametrize("verdict", ["mismatch", "no_mismatch", "inconclusive"])
 def test_what_is_told_is_no_surer_than_fits_that_begin_about_it(tmp_path, monkeypatch, verdict):
-    """Of the explanation, or where nothing is missing of the believed model, which then stands for both."""
+    """Of the explanation, or where nothing is missing of the believed model, which then stands for both.
+
+    Where nothing is told, what is shown is a model that is known to be wrong: nothing is asked of it.
+    """
     problem = make_problem(Simulator(make_study(tmp_path / "study", XML.format(0.02), PSI, slides()), num_threads=1))
     fits = [at(Followed(problem).on(problem.simulator.study.recordings[:1]), np.full(1, z)) for z in (0.0, 0.1)]
-    before, after = (Pair(f, f) for f in (fits if verdict == "mismatch" else fits[:1] * 2))
+    before, after = (Pair(f, f) for f in (fits[:1] * 2 if verdict == "no_mismatch" else fits))
     rod = Yardstick((), Scales(np.ones(13)), 1.0, 0)
-    said = Verdict(verdict, before, after, (), (), 0.0, 0.0, rod, ())
+    told = []
+
+    def composed(said, *_):
+        told.append(said)
+        raise Judged
+
+    monkeypatch.setattr(run, "fit_believed", lambda _: before)
+    monkeypatch.setattr(run, "candidates", lambda *_: [])
+    monkeypatch.setattr(run, "_measured", lambda p, _: (p, rod))
+    monkeypatch.setattr(run, "judged", lambda *_: Verdict(verdict, before, after, (), (), 0.0, 0.0, rod, ()))
     monkeypatch.setattr(run, "no_surer_than_ends", lambda f, *_: replace(f, rough=np.ones((1, 1))))
-    told = run._no_surer_than_ends(said, [Round(before, (), (), None)], 0, lambda *_: None)
-    assert told.shown.fit.rough is not None and told.shown.fit.z == after.fit.z
-    assert told.before is (before if verdict == "mismatch" else told.after)
+    monkeypatch.setattr(run, "conditions", lambda *_: [])
+    monkeypatch.setattr(run, "ContactComposer", composed)
+    with pytest.raises(Judged):
+        run.diagnosed(problem, 0, lambda *_: None)
+    (said,) = told
+    assert (said.shown.fit.rough is None) is (verdict == "inconclusive")
+    np.testing.assert_array_equal(said.shown.fit.z, (after if verdict == "mismatch" else before).fit.z)
+    assert (said.before is before) is (verdict != "no_mismatch") and said.shown in (said.before, said.after)

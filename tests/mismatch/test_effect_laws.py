@@ -436,6 +436,23 @@ def test_a_body_whose_frames_are_one_can_be_changed(tmp_path, form):
     np.testing.assert_allclose(found, np.array(expected)[::10], atol=1e-9)
 
 
+def test_special_cases_are_simpler_effects_of_the_catalogue():
+    """By their names, with values for all that they have, which are a law's own where that comes to them."""
+    found = {}
+    for name, effect in CATALOGUE.items():
+        values = {p.name: np.full(p.size, 0.3) if p.size > 1 else 0.3 for p in effect.parameters}
+        for other, near in effect.limits(values).items():
+            assert CATALOGUE[other].size < effect.size and CATALOGUE[other].kind == effect.kind
+            assert set(near) == {p.name for p in CATALOGUE[other].parameters}
+            found[name] = other
+    assert found == {"stribeck_friction": "coulomb_friction"}
+
+
+def test_a_payload_may_be_as_heavy_as_what_carries_it():
+    z = CATALOGUE["payload_mass"].to_normal({"mass": 0.2, "offset": np.zeros(3)}, Typical(inertia=0.2))
+    assert z[0] == pytest.approx(2.0)  # prior sds
+
+
 def test_a_payload_turns_equal_moments_no_further_than_it_must():
     """Of a sphere's axes any two across the payload would do; they stay where they are as it moves by a hair."""
     effect, at = CATALOGUE["payload_mass"], Element("body", "ball", body=1)

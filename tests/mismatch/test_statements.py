@@ -6,8 +6,8 @@ from simulated import fit, place, spring_problem
 
 from det2stoc_bayes.mismatch.effects import CATALOGUE, Element, PlacedEffect, Typical
 from det2stoc_bayes.mismatch.evidence import widened
-from det2stoc_bayes.mismatch.finding import Quantity
-from det2stoc_bayes.mismatch.statements import draws, parameters, quantity, rounded, statement
+from det2stoc_bayes.mismatch.finding import Alternative, Quantity
+from det2stoc_bayes.mismatch.statements import draws, likeliest, parameters, quantity, rounded, statement
 
 
 def number(mean, sd, unit="N m"):
@@ -28,6 +28,20 @@ def number(mean, sd, unit="N m"):
 )
 def test_two_digits_of_uncertainty(mean, sd, unit, text):
     assert rounded(number(mean, sd, unit)) == text
+
+
+@pytest.mark.parametrize(
+    ("odds", "words"),
+    [
+        ((0.6, 0.4), ["mass error on hand (60%)", "payload mass on hand (40%)"]),
+        ((0.998, 0.002), ["mass error on hand"]),
+        ((0.0, 0.0), []),
+    ],
+)
+def test_a_candidate_without_rivals_has_no_probability_beside_them(odds, words):
+    hand = {"kind": "body", "name": "hand"}
+    named = zip(("mass_error", "payload_mass"), odds, strict=True)
+    assert likeliest([Alternative(name=n, element=hand, probability=p) for n, p in named]) == words
 
 
 def test_quantities_are_moments_of_their_draws():

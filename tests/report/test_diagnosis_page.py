@@ -107,11 +107,14 @@ def test_the_fixture_is_a_valid_finding(finding) -> None:
     Finding(**finding)
 
 
-@pytest.mark.parametrize(("odds", "heading"), [((0.55, 0.41), "do not part"), ((0.998, 0.002), "Nearest, which")])
-def test_a_lone_candidate_is_no_tie(open_question, odds, heading) -> None:
+@pytest.mark.parametrize("odds", [(0.55, 0.41), (0.9, 0.05), (0.998, 0.002)])
+def test_what_is_ahead_of_its_rivals_and_not_named_is_in_doubt(open_question, odds) -> None:
     finding, fit = open_question
     candidates = [c | {"probability": p} for c, p in zip(finding["candidates"], odds, strict=True)]
-    assert heading in Page(diagnosis_page(finding | {"candidates": candidates}, fit, study_name="arm")).words()
+    words = Page(diagnosis_page(finding | {"candidates": candidates}, fit, study_name="arm")).words()
+    doubted = odds[0] > 0.8
+    assert ("do not part" in words, "2 candidates, best" in words) == (not doubted, not doubted)
+    assert ("Nearest in the catalogue" in words, "in doubt" in words) == (doubted, doubted)
 
 
 def test_what_is_open_beside_what_is_named_is_told(half_open) -> None:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.compose import PACKAGES, UNLIKELY
-from det2stoc_bayes.mismatch.conflict import strained, tail_probability
+from det2stoc_bayes.mismatch.conflict import tail_probability
 from det2stoc_bayes.mismatch.contact.experiment import proposed
 from det2stoc_bayes.mismatch.contact.judge import Class, Verdict, corrected, covariance, log10_bayes, worst_column
 from det2stoc_bayes.mismatch.contact.pair import Pair
@@ -17,7 +17,6 @@ from det2stoc_bayes.mismatch.contact.rollouts import rollouts
 from det2stoc_bayes.mismatch.replay import replay
 from det2stoc_bayes.mismatch.shares import NEGLIGIBLE, by_element
 from det2stoc_bayes.mismatch.statements import (
-    called,
     drop,
     element,
     likeliest,
@@ -176,18 +175,17 @@ class ContactComposer:
             each = likeliest(candidates)
             if said.unexplained >= 0.5:
                 return (
-                    f"Something was left out; the nearest in the catalogue ({called(candidates[0])}) leaves "
+                    f"Something was left out; the nearest in the catalogue ({each[0]}) leaves "
                     f"{said.unexplained:.0%} of the error beyond noise and contact unexplained."
                 )
-            strain = strained(said.after.fit.problem, said.after.fit.z)
-            if strain:
+            if said.strained:
                 return (
                     f"Something was left out; the nearest in the catalogue ({', '.join(each)}) may stand for something "
-                    f"else: {', '.join(strain)} lies far out in its prior beside it."
+                    f"else: {', '.join(said.strained)} lies far out in its prior beside it."
                 )
             if said.told_worse:
                 return (
-                    f"Something was left out; the nearest in the catalogue ({called(candidates[0])}) foretells "
+                    f"Something was left out; the nearest in the catalogue ({each[0]}) foretells "
                     f"{', '.join(said.told_worse)} of recordings that were not fitted worse than the believed model."
                 )
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."

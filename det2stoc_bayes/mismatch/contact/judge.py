@@ -46,6 +46,7 @@ class Verdict:
     rounds: tuple[Round, ...]
     negligible: tuple[tuple[Pair, float], ...] = ()
     open_place: tuple[Class, ...] = ()  # what could stand beside the effects named, none of it surely
+    strained: tuple[str, ...] = ()  # psi that lie far out in their priors beside the explanation
     told_worse: tuple[str, ...] = ()  # columns of held-out recordings that contradict the explanation
 
     @property
@@ -91,7 +92,7 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
         shown = topped_pair(before, seed) if taken else before
         return Verdict("no_mismatch", shown, after=shown, places=(), explains=(), negligible=out, **common)
     # An effect beside which psi strains at its prior may stand for another.
-    strain = strained(final.fit.problem, final.fit.z)
+    strain = tuple(strained(final.fit.problem, final.fit.z, np.sqrt(np.diag(final.fit.covariance))))
     worse = told_worse(before.held, final.held)
     sure = all(p[0].chance >= SURE for p in places) and left < MOST_LEFT and not strain and not worse
     verdict = "mismatch" if sure else "inconclusive"
@@ -101,7 +102,8 @@ def judged(before: Pair, rounds: list[Round], seed: int, final: Pair, rod: Yards
         if others.verdict == "mismatch" and unmoved(told.z, told.covariance, final.fit.z[: len(told.z)]):
             return replace(others, open_place=places[-1])
     shown = before if sure else topped_pair(before, seed)
-    return Verdict(verdict, shown, after=final, places=places, explains=explains, told_worse=worse, **common)
+    common |= {"strained": strain, "told_worse": worse}
+    return Verdict(verdict, shown, after=final, places=places, explains=explains, **common)
 
 
 def surely_little(before: Pair, final: Pair, rod: Yardstick) -> bool:

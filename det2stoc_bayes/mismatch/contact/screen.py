@@ -156,8 +156,8 @@ def _judged(few: ContactFit, placed: PlacedEffect) -> list[Promise]:
 
 
 def _sizes(placed: PlacedEffect, trial: Trial, sizes: Sequence[float]) -> Sequence[float]:
-    """How many times as large a trial's columns are tried."""
-    return sizes if _scales(placed, trial) else (1.0,)
+    """How many times as large a trial's columns are tried; what is not scalable stays so."""
+    return sizes if _scalable(placed, trial) else (1.0,)
 
 
 def _sized(fit: ContactFit, tell: Tell, placed: PlacedEffect) -> list[tuple[Trial, float]]:
@@ -175,19 +175,19 @@ def _sized(fit: ContactFit, tell: Tell, placed: PlacedEffect) -> list[tuple[Tria
 def _to_both_sides(
     fit: ContactFit, tell: Tell, placed: PlacedEffect, sized: Sequence[tuple[Trial, float]], room: int = MOST_HELD
 ) -> list[Promise]:
-    """What trials of these sizes promise by differences to both sides; to one where they are of full size."""
-    apart = [(t, s * (2.0 if _wall(placed, t) else -1.0)) for t, s in sized if _scales(placed, t)]
+    """What trials of these sizes promise by differences to both sides; to one where they are not scalable."""
+    apart = [(t, s * (2.0 if _wall(placed, t) else -1.0)) for t, s in sized if _scalable(placed, t)]
     changes = list(_changes(tell, placed, [*sized, *apart], room))
     other, out = iter(changes[len(sized) :]), []
     for (trial, size), up in zip(sized, changes, strict=False):
-        if _scales(placed, trial):
+        if _scalable(placed, trial):
             away = next(other)
             up = steady(up, away - up if _wall(placed, trial) else -away)
         out.append(_promised(fit, placed, trial, up, size))
     return out
 
 
-def _scales(placed: PlacedEffect, trial: Trial) -> bool:
+def _scalable(placed: PlacedEffect, trial: Trial) -> bool:
     """Whether a trial's columns may be larger or smaller; what is of full size, or absent at no number, stays so."""
     return bool(trial.sd > 1 and np.isfinite(placed.effect.parameters[0].absent))
 

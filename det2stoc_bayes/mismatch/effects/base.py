@@ -114,7 +114,7 @@ class Effect:
         return tuple(c for p in self.unknown for c in p.components)
 
     def limits(self, values: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
-        """Simpler effects of the same element that this one is at the end of a range, with values near its own."""
+        """Simpler effects that are special cases of this one, by name, with their values nearest to these."""
         return {}
 
     def scalars(self, values: Mapping[str, Array]) -> list[Array]:

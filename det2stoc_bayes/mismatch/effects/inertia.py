@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from det2stoc_bayes.mismatch.effects.base import EffectParameter, Trial, normal, onehot, unit_columns
+from det2stoc_bayes.mismatch.effects.base import SMALL, EffectParameter, Trial, normal, onehot, unit_columns
 from det2stoc_bayes.mismatch.effects.body import BodyEffect
 from det2stoc_bayes.priors import Prior
 
 SPLIT = 1e-9  # of the moments' sum, by which equal ones are told apart
+HEAVY = 0.5  # of a body's mass, a payload's prior scale
 REACH = 2.5  # radii of gyration from a body's frame within which a payload is looked for first
 
 
@@ -81,15 +82,15 @@ class PayloadMass(BodyEffect):
     complexity = 3
 
     def priors(self, typical):
-        """About half the mass, or as much, within a few radii of gyration."""
-        return {"mass": normal(0.5 * typical.inertia), "offset": normal(2 * typical.span)}
+        """A load may be as heavy as what carries it, 2 sds out, and within a few radii of gyration."""
+        return {"mass": normal(HEAVY * typical.inertia), "offset": normal(2 * typical.span)}
 
     def trials(self, typical):
         """A small mass at the frame's origin, and what its first moment adds, for two reaches; and one on each axis.
 
         In the mass's first order a column at an offset is mass + first moment + second moment.
         """
-        mass, (_, offset) = 0.005 * typical.inertia, self.parameters
+        mass, (_, offset) = SMALL * HEAVY * typical.inertia, self.parameters
         near, far = (unit_columns(offset, reach * typical.span, mass=mass) for reach in (0.7, REACH))
         opposite = unit_columns(offset, -REACH * typical.span, mass=mass)
         at_origin = {"mass": mass, "offset": (0.0, 0.0, 0.0)}
