@@ -49,7 +49,7 @@ def read_toml(folder: Path) -> tuple[str, StudyFile]:
     """The file's name and content; study.toml goes before psi.toml."""
     there = [name for name in FILES if (folder / name).is_file()]
     if not there:
-        found = listing(sorted(p.name for p in folder.iterdir()))
+        found = listing(sorted(p.name + "/" * p.is_dir() for p in folder.iterdir()))
         raise StudyError(f"{folder.name}: found neither {' nor '.join(FILES)} but {found}; allowed: one of the two")
     source = there[0]
     if len(there) > 1:
@@ -80,7 +80,7 @@ def _first_problem(error: ValidationError) -> str:
     allowed = allowed or first["msg"].removeprefix("Input should be ")
     for python, toml in (("a valid dictionary", "a table"), ("a valid string", "a text in quotes")):
         allowed = allowed.replace(python, toml)
-    return f"{key}: found {str(found)[:60]!r}; allowed: {allowed}{more}"
+    return f"{key}: found {repr(found)[:60]}; allowed: {allowed}{more}"
 
 
 def inside(folder: Path, name: str, where: str) -> Path:

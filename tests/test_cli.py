@@ -215,6 +215,7 @@ def test_fit_writes_a_file_and_a_summary(study, tmp_path):
             ("calibrate", "linear_gaussian", "--method", "nuts+psis", "--out", "out"),
             "--method: found 'nuts+psis'",
         ),
+        (("fit", "linear_gaussian", "--method", "laplace", "--out", ""), "found ''; allowed: a folder's name"),
         (("compare", "two_moons", "--methods", "npe", "--out", "out"), "which has no recordings: `make compare-sbi`"),
         (("calibrate", "linear_gaussian", "--method", "nuts", "--num-replications", "5", "--out", "out"), "--num-repl"),
     ],

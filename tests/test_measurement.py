@@ -138,7 +138,7 @@ def test_both_engines_have_one_density(tmp_path):
     [
         ('noise = "cauchy"', "likelihood.noise: found 'cauchy'; allowed: 'normal' or 'student_t'"),
         ("degrees_of_freedom = 4.0", 'likelihood.degrees_of_freedom: found 4 with noise = "normal"'),
-        ('noise = "student_t"\ndegrees_of_freedom = 0', "likelihood.degrees_of_freedom: found '0'; allowed: greater"),
+        ('noise = "student_t"\ndegrees_of_freedom = 0', "likelihood.degrees_of_freedom: found 0; allowed: greater"),
         ("nu = 4", "likelihood.nu: unknown key; .*allowed: noise, degrees_of_freedom"),
     ],
 )

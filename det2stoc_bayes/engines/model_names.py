@@ -98,7 +98,8 @@ def compile_model(path: Path, folder: Path | None = None) -> "mujoco.MjModel":
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
-        raise ModelError(f"{path.name}: does not compile: {'; '.join(str(error).split(chr(10)))}") from error
+        said = "; ".join(line for line in str(error).removeprefix("Error: ").splitlines() if line.strip())
+        raise ModelError(f"{path.name}: does not compile: {said}") from error
     if not 0 < model.opt.timestep < np.inf:
         raise ModelError(f"{path.name}: option timestep: found {model.opt.timestep:g}; allowed: more than 0 s")
     return model
