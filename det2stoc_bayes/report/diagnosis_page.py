@@ -54,7 +54,7 @@ def diagnosis_page(
         names=names,
         effects=[_effect(effect) for effect in finding["effects"]],
         candidates=contents.listed_candidates(finding["candidates"]),
-        doubted=any(c["probability"] >= SURE for c in finding["candidates"]),
+        doubted=finding["verdict"] == "inconclusive" and any(c["probability"] >= SURE for c in finding["candidates"]),
         negligible=_negligible(finding),
         improvement=contents.improvement(finding["fit"], _units(rollouts)),
         bayes_factor=numbers.bayes_factor(finding["evidence"]["log10_bayes_factor"]),
