@@ -166,9 +166,10 @@ def rolling(data: mujoco.MjData, random: Random) -> None:
     data.qvel[:2], data.qvel[3:] = random.normal(0.0, 1.0, 2), random.normal(0.0, 8.0, 3)
 
 
-def free(joint: str) -> tuple[str, ...]:
-    """Columns of a free joint."""
-    return (*(f"qpos/{joint}/{c}" for c in FREE_Q), *(f"qvel/{joint}/{c}" for c in FREE_V))
+def free(joint: str, *others: str) -> tuple[str, ...]:
+    """Columns of a free joint, and of hinges and slides beside it."""
+    each = ("qpos", FREE_Q), ("qvel", FREE_V)
+    return tuple(f"{kind}/{name}" for kind, of in each for name in (*(f"{joint}/{c}" for c in of), *others))
 
 
 def hanging(data: mujoco.MjData, random: Random) -> None:
@@ -229,14 +230,6 @@ def hinged(*joints: str) -> tuple[str, ...]:
 
 
 SOCKET = (*(f"qpos/socket/{c}" for c in BALL_Q), *(f"qvel/socket/{c}" for c in BALL_V))
-TURNED = tuple(
-    c for kind, free_ones in (("qpos", FREE_Q), ("qvel", FREE_V))
-    for c in (*(f"{kind}/base/{x}" for x in free_ones), f"{kind}/left", f"{kind}/right")
-)  # fmt: skip
-PUSHED = tuple(
-    c for kind, free_ones in (("qpos", FREE_Q), ("qvel", FREE_V))
-    for c in (*(f"{kind}/free/{x}" for x in free_ones), f"{kind}/push")
-)  # fmt: skip
 PLAIN = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 SCENES = {
     "drone": Scene(
@@ -270,7 +263,7 @@ SCENES = {
         integrator=PLAIN,
     ),
     "rover": Scene(
-        ROVER, (*TURNED, "ctrl/ml", "ctrl/mr"), 1.5, driving,
+        ROVER, (*free("base", "left", "right"), "ctrl/ml", "ctrl/mr"), 1.5, driving,
         truncated("friction", "geom/floor/friction", 0.8, 0.12, "index = [0]\n"), swaying(2, 0.02, 0.06), PLAIN,
     ),
     "stops": Scene(
@@ -282,7 +275,7 @@ SCENES = {
         truncated("friction", "geom/floor/friction", 0.8, 0.12, "index = [0]\n"), hopping, PLAIN,
     ),
     "pusher": Scene(
-        PUSHER, (*PUSHED, "ctrl/servo"), 2.0, before_it,
+        PUSHER, (*free("free", "push"), "ctrl/servo"), 2.0, before_it,
         truncated("friction", "geom/table/friction", 0.4, 0.08, "index = [0]\n"), advancing, PLAIN,
     ),
 }  # fmt: skip

@@ -80,7 +80,8 @@ def _first_problem(error: ValidationError) -> str:
     allowed = allowed or first["msg"].removeprefix("Input should be ")
     for python, toml in (("a valid dictionary", "a table"), ("a valid string", "a text in quotes")):
         allowed = allowed.replace(python, toml)
-    return f"{key}: found {repr(found)[:60]}; allowed: {allowed}{more}"
+    found = repr(found[:60]) if isinstance(found, str) else repr(found)[:60]
+    return f"{key}: found {found}; allowed: {allowed}{more}"
 
 
 def inside(folder: Path, name: str, where: str) -> Path:

@@ -74,13 +74,13 @@ def _z_under(fit: Fit, simulator: Simulator) -> Float[np.ndarray, " psi"]:
 
 
 def strained(
-    problem: Problem, z: Float[np.ndarray, " size"], sd: Float[np.ndarray, " size"] | None = None
+    problem: Problem, z: Float[np.ndarray, " size"], sd: Float[np.ndarray, " size"] | float = 0.0
 ) -> list[str]:
     """Names of psi that lie far out in their priors, of one that varies its population's mean.
 
     By more than an `sd` of what is known of it: where recordings say nothing of one, a fit may end anywhere.
     """
-    least = np.abs(z) - (0.0 if sd is None else sd)
+    least = np.abs(z) - sd
     return [b.parameter.name for b in problem.unknowns.blocks if least[b.begin] > TENSION]
 
 

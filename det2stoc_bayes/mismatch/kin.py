@@ -3,9 +3,10 @@
 From the believed model, far away, the same curve may be reached under one name and missed under another.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -34,9 +35,9 @@ def with_kin(slot: Slot, own: Ranked) -> Slot:
     there = log_evidence(own.fit, share)
     enough = {placed for placed, fit in fits.items() if log_evidence(fit, share) >= there}
     alike = [start for placed, start in _starts(slot, own) if placed not in enough]
-    limits = {placed: start for placed, start in _limits(slot, own) if placed not in enough}
-    simpler = [start for _, start in _simpler(slot, own, {*enough, *limits})]
-    starts = [*limits.values(), *alike[:MOST], *simpler[:MOST]]
+    cases = {placed: start for placed, start in _special_cases(slot, own).items() if placed not in enough}
+    simpler = [start for _, start in _simpler(slot, own, {*enough, *cases})]
+    starts = [*cases.values(), *alike[:MOST], *simpler[:MOST]]
     if not starts:
         return slot
     for f in _fitted(starts, own):
@@ -83,19 +84,15 @@ def _simpler(
     return [(s.placed, added(bare, s.change, [(s, s.coefficients)])) for s in near]
 
 
-def _limits(slot: Slot, own: Ranked) -> list[tuple[PlacedEffect, tuple[Problem, Point]]]:
-    """Special cases of the effect on its element, its other unknowns as its fit has them.
+def _special_cases(slot: Slot, own: Ranked) -> dict[PlacedEffect, tuple[Problem, Point]]:
+    """Those of the effect on its element, its other unknowns as its fit has them.
 
     After impacts responses are far from linear: that one predicts the same is known by law, and not seen by columns.
     """
     values = {k: v[0] for k, v in own.fit.problem.effect_values(own.fit.point.z[None])[-1].items()}
-    limits, out = own.placed.effect.limits(values), []
-    for s in slot.screened:
-        placed, name = s.placed, s.placed.effect.name
-        if name in limits and placed.element == own.placed.element:
-            block = placed.effect.to_normal(limits[name], placed.typical)
-            out.append((placed, _instead(own, [placed], [np.maximum(block, placed.effect.floor(placed.typical))])))
-    return out
+    cases = own.placed.effect.special_cases(values)
+    here = [s.placed for s in slot.screened if s.placed.element == own.placed.element]
+    return {p: _instead(own, [(p, cases[p.effect.name])]) for p in here if p.effect.name in cases}
 
 
 def truer_pair(slot: Slot, own: Ranked, needed: float) -> Fit | None:
@@ -168,19 +165,17 @@ def _start(
     own: Ranked, trials: Sequence[Screened], coefficients: Sequence[Float[np.ndarray, " columns"]]
 ) -> tuple[Problem, Point]:
     """The hypothesis with trials in an effect's place, its other unknowns as its fit has them."""
-    blocks = []
-    for s, values in zip(trials, coefficients, strict=True):
-        effect, typical = s.placed.effect, s.placed.typical
-        block = effect.to_normal(effect.combine(s.trial, values, typical), typical)
-        blocks.append(np.maximum(block, effect.floor(typical)))
-    return _instead(own, [s.placed for s in trials], blocks)
+    combined = [
+        (s.placed, s.placed.effect.combine(s.trial, values, s.placed.typical))
+        for s, values in zip(trials, coefficients, strict=True)
+    ]
+    return _instead(own, combined)
 
 
-def _instead(
-    own: Ranked, effects: Sequence[PlacedEffect], blocks: Sequence[Float[np.ndarray, " unknowns"]]
-) -> tuple[Problem, Point]:
-    """The hypothesis with others in an effect's place, the other unknowns as its fit has them."""
+def _instead(own: Ranked, others: Sequence[tuple[PlacedEffect, Mapping[str, Any]]]) -> tuple[Problem, Point]:
+    """The hypothesis with others of these values in an effect's place, the other unknowns as its fit has them."""
     fit = own.fit
+    blocks = [np.maximum(p.effect.to_normal(v, p.typical), p.effect.floor(p.typical)) for p, v in others]
     z = np.concatenate([fit.point.z[: fit.problem.size - own.placed.size], *blocks])
-    problem = fit.problem.with_effects((*fit.problem.effects[:-1], *effects))
+    problem = fit.problem.with_effects((*fit.problem.effects[:-1], *(p for p, _ in others)))
     return problem, Point(z, fit.point.start)

@@ -158,10 +158,12 @@ def alternatives(rest: Sequence[Class], limit: int = 5) -> list[finding.Alternat
 
 def likeliest(candidates: Sequence[finding.Alternative], limit: int = 3) -> list[str]:
     """The first candidates in words, but for those of 0 %; one without rivals has no probability beside them."""
-    likely = [c for c in candidates[:limit] if c.element and c.probability >= LEAST_TOLD]
-    named = [f"{c.name.replace('_', ' ')} on {c.element.name}" for c in likely if c.element]
-    alone = len(likely) == 1
-    return named if alone else [f"{name} ({c.probability:.0%})" for name, c in zip(named, likely, strict=True)]
+    likely = [
+        (f"{c.name.replace('_', ' ')} on {c.element.name}", f" ({c.probability:.0%})")
+        for c in candidates[:limit]
+        if c.element and c.probability >= LEAST_TOLD
+    ]
+    return [name + odds * (len(likely) > 1) for name, odds in likely]
 
 
 def open_beside(candidates: Sequence[finding.Alternative]) -> str:

@@ -441,7 +441,7 @@ def test_special_cases_are_simpler_effects_of_the_catalogue():
     found = {}
     for name, effect in CATALOGUE.items():
         values = {p.name: np.full(p.size, 0.3) if p.size > 1 else 0.3 for p in effect.parameters}
-        for other, near in effect.limits(values).items():
+        for other, near in effect.special_cases(values).items():
             assert CATALOGUE[other].size < effect.size and CATALOGUE[other].kind == effect.kind
             assert set(near) == {p.name for p in CATALOGUE[other].parameters}
             found[name] = other

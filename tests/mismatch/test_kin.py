@@ -89,7 +89,7 @@ def test_a_simpler_law_that_promised_less_from_afar_is_tried_where_the_larger_on
     assert first.fit.chi2 == pytest.approx(best.chi2, rel=0.05)
 
 
-def test_a_limit_of_a_law_is_tried_whatever_its_columns_say(tmp_path):
+def test_a_special_case_is_tried_whatever_its_columns_say(tmp_path):
     """Of the same joint alone, from values near the law's own."""
 
     def change(model):
@@ -103,7 +103,7 @@ def test_a_limit_of_a_law_is_tried_whatever_its_columns_say(tmp_path):
     unpromising = tuple(replace(s, response=None, others=(), gain=0.0) for s in screen(base, [large, small]))
     elsewhere = replace(small, element=replace(small.element, name="other"))
     slot = Slot(base, (*unpromising, replace(unpromising[0], placed=elsewhere)), (own,))
-    assert not kin._simpler(slot, own) and [placed for placed, _ in kin._limits(slot, own)] == [small]
+    assert not kin._simpler(slot, own) and [placed for placed, _ in kin._special_cases(slot, own).items()] == [small]
     first, second = with_kin(slot, own).ranked
     assert (first.placed, second.placed) == (small, large) and first.gain > own.gain
     assert first.fit.chi2 == pytest.approx(best.chi2, rel=0.05)

@@ -188,7 +188,7 @@ def _to_both_sides(
 
 
 def _scalable(placed: PlacedEffect, trial: Trial) -> bool:
-    """Whether a trial's columns may be larger or smaller; what is of full size, or absent at no number, stays so."""
+    """Whether a trial's columns may be larger or smaller: not of a narrow prior, nor of what is absent at no number."""
     return bool(trial.sd > 1 and np.isfinite(placed.effect.parameters[0].absent))
 
 

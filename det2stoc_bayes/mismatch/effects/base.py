@@ -113,8 +113,8 @@ class Effect:
         """A name for each unknown."""
         return tuple(c for p in self.unknown for c in p.components)
 
-    def limits(self, values: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
-        """Simpler effects that are special cases of this one, by name, with their values nearest to these."""
+    def special_cases(self, values: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        """Simpler effects that this one comes to, by name, with their values nearest to these."""
         return {}
 
     def scalars(self, values: Mapping[str, Array]) -> list[Array]:

@@ -55,7 +55,7 @@ class StribeckFriction(DryFriction):
         """Neither friction in motion nor what it has more at rest is negative."""
         return np.array([0.0, 0.0, -np.inf])
 
-    def limits(self, values):
+    def special_cases(self, values):
         """No peak."""
         return {"coulomb_friction": {"force": values["coulomb"]}}
 
