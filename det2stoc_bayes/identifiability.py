@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.engines.free_flight import Fall, falls
 from det2stoc_bayes.errors import SimulationDiverged
 from det2stoc_bayes.linearization import start_point
 from det2stoc_bayes.mismatch.candidates import candidates
@@ -77,6 +78,7 @@ class Check:
     alike: tuple[tuple[str, ...], ...]  # effects that these recordings could not tell apart, were they there
     absorbed: tuple[str, ...]  # effects that would pass as psi
     contact: bool = False  # bodies touch: simulations follow the recordings, and effects are not compared
+    falls: tuple[Fall, ...] = ()  # of free bodies that touch nothing for a while
 
 
 def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
@@ -94,7 +96,7 @@ def check(study: Study, *, progress: Progress = lambda *_: None) -> Check:
         progress("fitting psi quickly", 1, 1)
         _warn_led(columns, followed.scales.values)
         found = _parameters(followed.problem, followed.z, followed.covariance)
-        return Check(study, found, rows, noise, followed.noise_inflation, (), (), contact=True)
+        return Check(study, found, rows, noise, followed.noise_inflation, (), (), True, falls(problem))
     fit = climb(problem)
     if fit is None:
         raise SimulationDiverged(

@@ -68,6 +68,7 @@ def check_json(checked: "det2stoc_bayes.identifiability.Check") -> dict[str, Any
         "open_equivalences": checked.alike,
         "absorbed_by_psi": checked.absorbed,
         "contact": checked.contact,
+        "free_flight": [{**vars(f), "contradicts": f.contradicts} for f in checked.falls],
     }
 
 
@@ -93,7 +94,7 @@ def check_tables(checked: "det2stoc_bayes.identifiability.Check") -> RenderableT
     if not checked.parameters:
         notes.append("The study has no psi: nothing of the model is uncertain.")
     notes += [doubt] if (doubt := quick_misfit(checked)) else []
-    notes += _open(checked)
+    notes += [*(f.text for f in checked.falls if f.contradicts), *_open(checked)]
     return _stack([*([psi] if checked.parameters else []), recordings, columns, *(Text(n) for n in notes)])
 
 

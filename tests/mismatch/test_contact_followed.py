@@ -8,10 +8,11 @@ import pytest
 from conftest import make_study
 from sliding import PSI, TRUTH, XML, slides
 
+from det2stoc_bayes.engines.free_flight import Fall
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact import believed as believed_module
 from det2stoc_bayes.mismatch.contact import fit as fit_module
-from det2stoc_bayes.mismatch.contact import judge, run
+from det2stoc_bayes.mismatch.contact import compose, judge, run
 from det2stoc_bayes.mismatch.contact import pair as pair_module
 from det2stoc_bayes.mismatch.contact import yardstick as yardstick_module
 from det2stoc_bayes.mismatch.contact.believed import (
@@ -402,10 +403,13 @@ def test_what_is_sure_is_named_though_something_beside_it_cannot_be_told(problem
     said = judged(base, rounds, 0, second, yardstick(second.fit, 0))
     assert said.verdict == "mismatch" and [e.effect.name for e in said.after.fit.problem.effects] == ["linear_drag"]
     assert {c.members[0].placed.effect.name for c in said.open_place} == {"quadratic_drag", "payload_mass"}
+    fall = Fall("puck", 9, (0.0, 0.0, -9.4), (0.01, 0.01, 0.01), (0.0, 0.0, -9.81))
+    monkeypatch.setattr(compose, "falls", lambda _: (fall,))
     summary = ContactComposer(said, [], 0).compose(1.0).summary
-    assert "What else was left out the recordings do not tell: " in summary
+    assert "What else was left out the recordings do not tell: " in summary and fall.text not in summary
     alone = judged(first, rounds[1:], 0, second, yardstick(second.fit, 0))
     assert alone.verdict == "inconclusive" and not alone.open_place
+    assert ContactComposer(alone, [], 0).compose(1.0).summary.endswith(fall.text)
 
 
 def test_scales_of_one_column_are_its_own():

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from det2stoc_bayes.engines.free_flight import falls
 from det2stoc_bayes.mismatch import finding, result
 from det2stoc_bayes.mismatch.compose import PACKAGES, UNLIKELY
 from det2stoc_bayes.mismatch.conflict import tail_probability
@@ -168,6 +169,12 @@ class ContactComposer:
         return out
 
     def _summary(self, effects, candidates, fit: finding.Fit, psi) -> str:
+        """In words; what contradicts the model's gravity in flight is said beside what names nothing."""
+        said = self._said(effects, candidates, fit, psi)
+        odd = [] if effects else [f.text for f in falls(self.said.before.fit.problem) if f.contradicts]
+        return " ".join([said, *odd])
+
+    def _said(self, effects, candidates, fit: finding.Fit, psi) -> str:
         said = self.said
         if said.verdict == "no_mismatch":
             return self._all_well(psi)
