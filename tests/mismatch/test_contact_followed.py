@@ -11,8 +11,8 @@ from sliding import PSI, TRUTH, XML, slides
 from det2stoc_bayes.engines.free_flight import Fall
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact import believed as believed_module
-from det2stoc_bayes.mismatch.contact import fit as fit_module
 from det2stoc_bayes.mismatch.contact import compose, judge, run
+from det2stoc_bayes.mismatch.contact import fit as fit_module
 from det2stoc_bayes.mismatch.contact import pair as pair_module
 from det2stoc_bayes.mismatch.contact import yardstick as yardstick_module
 from det2stoc_bayes.mismatch.contact.believed import (
