@@ -20,6 +20,7 @@ from det2stoc_bayes.engines.state_columns import state_columns
 if TYPE_CHECKING:
     from det2stoc_bayes.problem import Problem
     from det2stoc_bayes.recording import Recording
+    from det2stoc_bayes.study import Study
 
 APART = 2  # samples beside a touch that are no part of a flight: it may last longer than what was recorded
 CLEAR = 10.0  # noise sds of a place, by which a body in flight is away from all others
@@ -63,11 +64,8 @@ def falls(problem: "Problem") -> tuple[Fall, ...]:
     None where something else than gravity acts in flight by the model itself, or where a position is not recorded.
     """
     model, study = problem.simulator.model, problem.simulator.study
-    option = model.opt
-    acts = model.nu or model.neq or model.ntendon or option.density or option.viscosity or model.body_gravcomp.any()
-    uncertain = any(p.target.kind == "opt" for p in study.parameters)
     bodies = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == FREE]
-    if acts or uncertain or not bodies:
+    if not bodies or _acted_on(model) or "opt" in _set_otherwise(study):
         return ()
     found: dict[int, list[tuple[float, np.ndarray]]] = {body: [] for body in bodies}
     near = _wider(model, CLEAR * _noise(problem))
@@ -81,6 +79,20 @@ def falls(problem: "Problem") -> tuple[Fall, ...]:
             for body, place in zip(bodies, np.swapaxes(places, 0, 1), strict=True):
                 found[body].append(_acceleration(recording.time[stretch], place))
     return tuple(_fall(model, body, each) for body, each in found.items() if len(each) >= LEAST_FLIGHTS)
+
+
+def _acted_on(model: mujoco.MjModel) -> bool:
+    """Whether more than gravity and contact may act on what a free joint moves."""
+    free = np.isin(model.jnt_type[model.dof_jntid], FREE)
+    held = (model.dof_damping[free] != 0) | (model.dof_frictionloss[free] != 0)
+    more = model.nu, model.neq, model.ntendon, model.nflex, model.opt.density, model.opt.viscosity
+    return any(more) or bool(held.any() or model.body_gravcomp.any())
+
+
+def _set_otherwise(study: "Study") -> set[str]:
+    """Kinds of what psi, or what is known of a recording, sets in the model."""
+    known = (target for table in study.known.values() for target in table)
+    return {p.target.kind for p in study.parameters} | {target.kind for target in known}
 
 
 def _noise(problem: "Problem") -> float:
