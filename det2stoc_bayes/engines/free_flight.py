@@ -4,6 +4,7 @@ A clock that runs fast, lengths in another unit or by a camera that is a few per
 it, and are what contact would be blamed for.
 """
 
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -24,8 +25,11 @@ if TYPE_CHECKING:
 
 APART = 2  # samples beside a touch that are no part of a flight: it may last longer than what was recorded
 CLEAR = 10.0  # noise sds of a place, by which a body in flight is away from all others
-LEAST_SAMPLES, LEAST_FLIGHTS = 8, 5
-CHANCE, LARGE = 1e-4, 0.01  # of a component by luck, and share of gravity: where flights are not what gravity makes
+GAP = 3.0  # times the usual interval between samples, in which something may have been touched
+LEFT = 3.0  # noise sds (rms) that no parabola leaves of a flight: something was touched between two samples
+LEAST_SAMPLES, LEAST_FLIGHTS = 8, 5  # of a flight; of a body
+CHANCE, LEAST = 1e-4, 0.1  # that luck makes a component contradict, and m/s2 by which it must
+SAFE = ("geom", "pair")  # kinds of which psi and what is known of recordings change contact alone
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Fall:
     def contradicts(self) -> bool:
         """Whether flights are surely not what the model's gravity makes them."""
         apart, surely = np.abs(np.subtract(self.acceleration, self.believed)), stats.t.isf(CHANCE / 2, self.flights - 1)
-        return bool(((apart > surely * np.array(self.error)) & (apart > LARGE * np.linalg.norm(self.believed))).any())
+        return bool(((apart > surely * np.array(self.error)) & (apart > LEAST)).any())
 
     @property
     def text(self) -> str:
@@ -61,51 +65,58 @@ class Fall:
 def falls(problem: "Problem") -> tuple[Fall, ...]:
     """Of every free body that flies often enough, over all of a study's recordings, held-out ones too.
 
-    None where something else than gravity acts in flight by the model itself, or where a position is not recorded.
+    None where something else than gravity may act in flight by the model itself, where psi or what is known of a
+    recording sets more than contact, or where a position is not recorded.
     """
     model, study = problem.simulator.model, problem.simulator.study
     bodies = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == FREE]
-    if not bodies or _acted_on(model) or "opt" in _set_otherwise(study):
+    noise = _noise(problem)
+    if not bodies or noise is None or _acted_on(model) or not _only_contact_is_set(study):
         return ()
-    found: dict[int, list[tuple[float, np.ndarray]]] = {body: [] for body in bodies}
-    near = _wider(model, CLEAR * _noise(problem))
+    near = _wider(model, CLEAR * noise)
+    rates: dict[int, list[tuple[float, np.ndarray]]] = {body: [] for body in bodies}
     for recording in (*study.recordings, *study.holdout):
         qpos = _positions(model, recording)
-        flying = np.zeros(len(qpos), bool)
-        there = np.isfinite(qpos).all(1)
-        flying[there] = ~contacts.touching(near, qpos[there])[1].any(1)
-        for stretch in _stretches(flying):
-            places = _centres(model, qpos[stretch], bodies)
-            for body, place in zip(bodies, np.swapaxes(places, 0, 1), strict=True):
-                found[body].append(_acceleration(recording.time[stretch], place))
-    return tuple(_fall(model, body, each) for body, each in found.items() if len(each) >= LEAST_FLIGHTS)
+        for body, stretch in _flights(near, recording.time, qpos, bodies):
+            rate = _acceleration(recording.time[stretch], _centre(model, qpos[stretch], body), noise)
+            rates[body] += [] if rate is None else [rate]
+    return tuple(_fall(model, body, each) for body, each in rates.items() if len(each) >= LEAST_FLIGHTS)
 
 
 def _acted_on(model: mujoco.MjModel) -> bool:
-    """Whether more than gravity and contact may act on what a free joint moves."""
-    free = np.isin(model.jnt_type[model.dof_jntid], FREE)
-    held = (model.dof_damping[free] != 0) | (model.dof_frictionloss[free] != 0)
-    more = model.nu, model.neq, model.ntendon, model.nflex, model.opt.density, model.opt.viscosity
-    return any(more) or bool(held.any() or model.body_gravcomp.any())
+    """Whether more, or less, than gravity may act on what a free joint moves and nothing touches."""
+    joints, free = model.jnt_type == FREE, np.isin(model.jnt_type[model.dof_jntid], FREE)
+    springs = model.jnt_stiffness[joints].any() or model.jnt_stiffnesspoly[joints].any()
+    losses = [getattr(model, n)[free].any() for n in ("dof_damping", "dof_dampingpoly", "dof_frictionloss")]
+    weightless = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    counts = model.nu, model.neq, model.ntendon, model.nflex, model.nplugin
+    medium = model.opt.density, model.opt.viscosity
+    return bool(any(counts) or any(medium) or weightless or springs or any(losses) or model.body_gravcomp.any())
 
 
-def _set_otherwise(study: "Study") -> set[str]:
-    """Kinds of what psi, or what is known of a recording, sets in the model."""
+def _only_contact_is_set(study: "Study") -> bool:
+    """Whether psi, and what is known of recordings, leave free flight as the model has it."""
     known = (target for table in study.known.values() for target in table)
-    return {p.target.kind for p in study.parameters} | {target.kind for target in known}
+    return all(target.kind in SAFE for target in (*(p.target for p in study.parameters), *known))
 
 
-def _noise(problem: "Problem") -> float:
-    """The largest noise of a free body's place, m."""
-    model, places = problem.simulator.model, state_columns(problem.simulator.model, problem.segments.columns)
+def _noise(problem: "Problem") -> float | None:
+    """The largest noise of a free body's place, m; None where none is recorded."""
+    model = problem.simulator.model
     first = model.jnt_qposadr[model.jnt_type == FREE]
-    return max(float(problem.noise[j]) for (s, k), j in places.items() if s == "qpos" and 0 <= (k - first).min() < 3)
+    recorded = [
+        float(problem.noise[j])
+        for (source, k), j in state_columns(model, problem.segments.columns).items()
+        if source == "qpos" and ((first <= k) & (k < first + 3)).any()
+    ]
+    return max(recorded, default=None)
 
 
 def _wider(model: mujoco.MjModel, clearance: float) -> mujoco.MjModel:
-    """The model with geoms that touch from so far away on."""
+    """The model with geoms that touch from so far away on; margins of two geoms add up."""
     near = copy(model)
     near.geom_margin[:] += 0.5 * clearance
+    near.body_margin[:] += 0.5 * clearance
     near.pair_margin[:] += clearance
     return near
 
@@ -119,42 +130,57 @@ def _positions(model: mujoco.MjModel, recording: "Recording") -> Float[np.ndarra
     return qpos
 
 
-def _stretches(flying: Bool[np.ndarray, " samples"]) -> list[slice]:
-    """Samples of each flight that are APART from what touches before and after it."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flying, [False]]).astype(int)))
-    out = []
-    for begin, end in edges.reshape(-1, 2):
-        first, last = begin + APART * (begin > 0), end - APART * (end < len(flying))
-        out += [slice(int(first), int(last))] if last - first >= LEAST_SAMPLES else []
-    return out
+def _flights(
+    near: mujoco.MjModel, time: Float[np.ndarray, " samples"], qpos: Float[np.ndarray, "samples nq"], bodies: list[int]
+) -> Iterator[tuple[int, slice]]:
+    """Each body's stretches in which nothing of it is near anything; a sample that lacks a position ends one."""
+    recorded = np.isfinite(qpos).all(1)
+    pairs, touching = contacts.touching(near, qpos[recorded])
+    roots = near.body_rootid[near.geom_bodyid[np.array(pairs, int).reshape(-1, 2)]]
+    begins = np.flatnonzero(np.diff(time) > GAP * np.median(np.diff(time))) + 1
+    for body in bodies:
+        flying = np.zeros(len(qpos), bool)
+        flying[recorded] = ~touching[:, (roots == body).any(1)].any(1)
+        for part in np.split(np.arange(len(time)), begins):
+            yield from ((body, stretch) for stretch in _stretches(flying, int(part[0]), int(part[-1]) + 1))
 
 
-def _centres(
-    model: mujoco.MjModel, qpos: Float[np.ndarray, "samples nq"], bodies: list[int]
-) -> Float[np.ndarray, "samples bodies 3"]:
-    """Centres of mass of bodies with all that hangs on them."""
-    data, out = mujoco.MjData(model), np.zeros((len(qpos), len(bodies), 3))
+def _stretches(flying: Bool[np.ndarray, " samples"], begin: int, end: int) -> Iterator[slice]:
+    """Samples of each flight between two, that are APART from what touches before and after it."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flying[begin:end], [False]]).astype(int)))
+    for first, last in begin + edges.reshape(-1, 2):
+        first, last = int(first) + APART * (first > begin), int(last) - APART * (last < end)
+        if last - first >= LEAST_SAMPLES:
+            yield slice(first, last)
+
+
+def _centre(model: mujoco.MjModel, qpos: Float[np.ndarray, "samples nq"], body: int) -> Float[np.ndarray, "samples 3"]:
+    """Centre of mass of a body with all that hangs on it."""
+    data, out = mujoco.MjData(model), np.zeros((len(qpos), 3))
     for k, state in enumerate(qpos):
         data.qpos[:] = state
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        out[k] = data.subtree_com[bodies]
+        out[k] = data.subtree_com[body]
     return out
 
 
 def _acceleration(
-    time: Float[np.ndarray, " samples"], place: Float[np.ndarray, "samples 3"]
-) -> tuple[float, Float[np.ndarray, "3"]]:
-    """What a parabola's acceleration counts beside others', and that acceleration."""
+    time: Float[np.ndarray, " samples"], place: Float[np.ndarray, "samples 3"], noise: float
+) -> tuple[float, Float[np.ndarray, "3"]] | None:
+    """What a parabola's acceleration counts (inverse variance by noise of 1), and itself; None where it is none."""
     t = time - time.mean()
-    parabola = np.linalg.lstsq(np.stack([np.ones_like(t), t, 0.5 * t**2], 1), place, rcond=None)[0]
-    return len(t) * float(np.ptp(t)) ** 4, parabola[2]
+    design = np.stack([np.ones_like(t), t, 0.5 * t**2], 1)
+    parabola = np.linalg.lstsq(design, place, rcond=None)[0]
+    left = np.sqrt(((place - design @ parabola) ** 2).sum(0) / (len(t) - 3))
+    return None if (left > LEFT * noise).any() else (1 / float(np.linalg.inv(design.T @ design)[2, 2]), parabola[2])
 
 
 def _fall(model: mujoco.MjModel, body: int, each: list[tuple[float, np.ndarray]]) -> Fall:
-    weight = np.array([w for w, _ in each])[:, None] / sum(w for w, _ in each)
-    rates = np.stack([a for _, a in each])
+    """Flights pooled by the inverse variances of their accelerations, up to a scale that their scatter gives."""
+    weight, rates = np.array([w for w, _ in each])[:, None], np.stack([a for _, a in each])
+    weight = weight / weight.sum()
     mean = (weight * rates).sum(0)
-    error = np.sqrt((weight**2 * (rates - mean) ** 2).sum(0) * len(each) / (len(each) - 1))
+    error = np.sqrt((weight * (rates - mean) ** 2).sum(0) / (len(each) - 1))
     name = model.body(body).name or f"body {body}"
     return Fall(name, len(each), *(tuple(v.tolist()) for v in (mean, error, model.opt.gravity)))
