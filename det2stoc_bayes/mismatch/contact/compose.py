@@ -170,11 +170,11 @@ class ContactComposer:
 
     def _summary(self, effects, candidates, fit: finding.Fit, psi) -> str:
         """In words; what contradicts the model's gravity in flight is said beside what names nothing."""
-        said = self._said(effects, candidates, fit, psi)
+        found = self._found(effects, candidates, fit, psi)
         odd = [] if effects else [f.text for f in falls(self.said.before.fit.problem) if f.contradicts]
-        return " ".join([said, *odd])
+        return " ".join([found, *odd])
 
-    def _said(self, effects, candidates, fit: finding.Fit, psi) -> str:
+    def _found(self, effects, candidates, fit: finding.Fit, psi) -> str:
         said = self.said
         if said.verdict == "no_mismatch":
             return self._all_well(psi)
