@@ -208,15 +208,16 @@ def diagnose(
     """Find and model what the simulator leaves out."""
     with reporting(debug) as stages:
         check_folder(out, *DIAGNOSED)
-        from det2stoc_bayes import tables, verbs
+        from det2stoc_bayes import verbs
         from det2stoc_bayes.engines.model_names import model_files
+        from det2stoc_bayes.finding_tables import finding_tables
 
         believed = load(study)
         check_kept((out / name for name in DIAGNOSED), model_files(believed.model_path))
         diagnosis = verbs.diagnose(believed, seed=seed, exact=exact, progress=stages)
         diagnosis.write(out)
     finding = diagnosis.finding
-    show_report(finding.model_dump(mode="json") if as_json else tables.finding_tables(finding), out, as_json)
+    show_report(finding.model_dump(mode="json") if as_json else finding_tables(finding), out, as_json)
 
 
 @app.command(epilog=EXAMPLES["reproduce"])

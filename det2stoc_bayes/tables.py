@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     import det2stoc_bayes.comparison
     import det2stoc_bayes.identifiability
     import det2stoc_bayes.mismatch.effects.base
-    import det2stoc_bayes.mismatch.finding
     import det2stoc_bayes.report.summary
     import det2stoc_bayes.study
 
@@ -95,7 +94,7 @@ def check_tables(checked: "det2stoc_bayes.identifiability.Check") -> RenderableT
         notes.append("The study has no psi: nothing of the model is uncertain.")
     notes += [doubt] if (doubt := quick_misfit(checked)) else []
     notes += [*(f.text for f in checked.falls if f.contradicts), *_open(checked)]
-    return _stack([*([psi] if checked.parameters else []), recordings, columns, *(Text(n) for n in notes)])
+    return stack([*([psi] if checked.parameters else []), recordings, columns, *(Text(n) for n in notes)])
 
 
 def _open(checked: "det2stoc_bayes.identifiability.Check") -> list[str]:
@@ -143,43 +142,7 @@ def fit_tables(
     for t in told:
         values = (number(v) for v in (t.matched, t.mixture, t.one_latent))
         heldout.add_row(escape(t.recording), str(t.num_transitions), *values)
-    return _stack([*([made] if rows else []), *([heldout] if told else [])])
-
-
-# --- diagnose ------------------------------------------------------------
-def finding_tables(finding: "det2stoc_bayes.mismatch.finding.Finding") -> RenderableType:
-    """A finding: what is left out with how much, the doubtful candidates, and psi before and after."""
-    found = table("effects", "effect", "on", "parameter", "mean>", "95 % interval", "unit", "probability>")
-    for effect in finding.effects:
-        head = (effect.name, f"{effect.element.kind} {effect.element.name}")
-        for name, value in effect.parameters.items():
-            mean, interval = getattr(value, "mean", value), getattr(value, "interval", None)
-            unit = getattr(value, "unit", "")
-            cells = (name, _plain(mean), _plain(interval, " to "), unit, number(effect.probability, 3))
-            found.add_row(*(escape(cell) for cell in (*head, *cells)))
-            head = ("", "")
-    candidates = table("candidates", "effect", "on", "probability>")
-    for c in finding.candidates:
-        on = "" if c.element is None else f"{c.element.kind} {c.element.name}"
-        candidates.add_row(c.name, escape(on), number(c.probability, 3))
-    hangs = any(change.over_equivalents for change in finding.psi.values())
-    psi = table("psi", "name", "before>", "after>", *(["95 % over equivalents"] if hangs else []))
-    for name, change in finding.psi.items():
-        sides = [f"{_plain(m.mean)} +- {_plain(m.sd)}" for m in (change.before, change.after)]
-        psi.add_row(*map(escape, [name, *sides, *([_plain(change.over_equivalents or "", " to ")] if hangs else [])]))
-    parts: list[RenderableType] = [Text(f"{finding.verdict}: {finding.summary}", style="bold")]
-    parts += [t for t in (found, candidates, psi) if t.row_count]
-    if finding.experiment is not None:
-        parts.append(Text(finding.experiment.text))
-    return _stack(parts)
-
-
-def _plain(value: Any, between: str = ", ") -> str:
-    """Numbers, or vectors of them, in short; `between`: within the innermost, as the bounds of an interval."""
-    if isinstance(value, list | tuple):
-        outer = any(isinstance(v, list | tuple) for v in value)
-        return (", " if outer else between).join(_plain(v, between) for v in value)
-    return number(value) if isinstance(value, int | float) else MISSING if value is None else str(value)
+    return stack([*([made] if rows else []), *([heldout] if told else [])])
 
 
 # --- reproduce --------------------------------------------------------
@@ -250,7 +213,7 @@ def calibration_tables(found: "det2stoc_bayes.calibration.Calibration") -> Rende
     if found.failed:
         notes.append(f"{len(found.failed)} replications could not be fitted; the first: {found.failed[0]}")
     notes += [found.shortage] if found.shortage else []
-    return _stack([made, *(Text(n) for n in notes), Text(found.verdict, style="bold")])
+    return stack([made, *(Text(n) for n in notes), Text(found.verdict, style="bold")])
 
 
 # --- effects ------------------------------------------------------------
@@ -292,7 +255,7 @@ def effects_table(catalogue: Mapping[str, "det2stoc_bayes.mismatch.effects.base.
     return made
 
 
-def _stack(parts: Sequence[RenderableType]) -> RenderableType:
+def stack(parts: Sequence[RenderableType]) -> RenderableType:
     """One below the other, a blank line between."""
     spaced: list[RenderableType] = []
     for part in parts:

@@ -21,6 +21,7 @@ EDGE = (
     "verbs.py",
     "verbs_calibrate.py",
     "tables.py",
+    "finding_tables.py",
     "__main__.py",
 )  # the outermost layer, which may know everything
 ONLY_IN = {

@@ -59,7 +59,7 @@ def _best(
     """The curve whose smoothness and size, of a few, earn most; None where a variable stands still."""
     inside = response.joint_states(at)
     along = form().along(inside)
-    reach = tuple(_reach(x[response.real]) for x in (along if isinstance(along, tuple) else (along,)))
+    reach = tuple(reach_of(x[response.real]) for x in (along if isinstance(along, tuple) else (along,)))
     if any(low == high for low, high in reach):
         return None
     effect = form(reach)
@@ -70,7 +70,7 @@ def _best(
         return None
     units = beside.latent.project(beside.latent.stack(columns))
     equations = Equations(beside, units.reshape(-1, units.shape[-1]))
-    tried = [(e, equations.added(e.root(typical))) for e in _shapes(form, reach)]
+    tried = [(e, equations.added(e.root(typical))) for e in shapes(form, reach)]
     effect, best = max(((e, a) for e, a in tried if a is not None), key=lambda t: t[1].log_evidence)
     response_to = units @ (SMALL * effect.root(typical))
     trial = effect.trials(typical)[0]
@@ -94,14 +94,14 @@ def _hats(
     return flat.reshape(*knots.shape[:2], count) / knots.shape[2]
 
 
-def _reach(x: Float[np.ndarray, "*points"]) -> tuple[float, float]:
+def reach_of(x: Float[np.ndarray, "*points"]) -> tuple[float, float]:
     """What the motion covers, and a little more."""
     low, high = float(x.min()), float(x.max())
     room = MARGIN * (high - low)
     return (low - room, high + room) if high - low > 1e-9 * max(abs(low), abs(high), 1e-9) else (low, low)
 
 
-def _shapes(form: type[UnlistedForce], reach: tuple[tuple[float, float], ...]) -> Iterator[UnlistedForce]:
+def shapes(form: type[UnlistedForce], reach: tuple[tuple[float, float], ...]) -> Iterator[UnlistedForce]:
     """The same curve under priors of several sizes and lengths."""
     for lengths, amplitude in product(LENGTHS if len(reach) == 1 else SURFACES, AMPLITUDES):
         yield form(reach, lengths, amplitude)

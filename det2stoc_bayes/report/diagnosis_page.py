@@ -243,9 +243,10 @@ def _density(fit: Mapping[str, Any]) -> str:
 def _experiment(experiment: Mapping[str, Any] | None) -> dict[str, Any] | None:
     if experiment is None:
         return None
+    gain = experiment["expected_gain"]  # none is computed where bodies touch
     return {
         "text": experiment["text"],
-        "gain": numbers.number(experiment["expected_gain"], 2),
+        "gain": None if gain is None else numbers.number(gain, 2),
         "input": contents.plain_items(experiment["input"]),
         "initial_state": contents.plain_items(experiment["initial_state"]),
     }

@@ -35,3 +35,8 @@ def test_a_lone_candidate_is_asked_about_itself():
     assert proposed([candidate("hysteresis", "joint", "hinge")]) == (
         f"Record {OF_KIND['joint']}: hysteresis on joint hinge shows there, if it is that."
     )
+
+
+def test_the_world_is_called_by_its_name_alone():
+    text = proposed([candidate("base_vibration", "world", "world"), candidate("adhesion")])
+    assert "base vibration on the world would show" in text and "world world" not in text

@@ -10,7 +10,7 @@ from conftest import make_study
 from sliding import PSI, SLIDING, TRUTH, XML, slides
 
 from det2stoc_bayes.mismatch.candidates import candidates
-from det2stoc_bayes.mismatch.contact import judge, rattle
+from det2stoc_bayes.mismatch.contact import judge, rattle, replicas
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.pair import Pair
@@ -158,3 +158,18 @@ def test_where_what_nothing_leads_diverges_the_lead_alone_is_asked(followed, poo
     known = []
     odds = rattle.log_odds(leader, rival, own, [], 2.0, lambda f: known.append(f) or rattle.refitted(leader, f, 2.0))
     assert known == [leader.followed] and odds == first - second
+
+
+def test_what_is_made_alone_is_led_only_where_it_diverges(followed, pool, monkeypatch):
+    leader = told(followed, pool["linear_drag"], 0.1)
+
+    def values(make):
+        return make(leader, np.random.default_rng(0)).problem.segments.values
+
+    free, led = values(replicas.moved_freely), values(replicas.replicated)
+    assert np.array_equal(values(replicas.made_alone), free, equal_nan=True)
+    assert not np.allclose(free, led, equal_nan=True)
+    made = replicas.moved_freely(leader, np.random.default_rng(0))
+    lost = replace(made.problem.segments, values=np.full_like(free, np.nan))
+    monkeypatch.setattr(replicas, "moved_freely", lambda *_: replace(made, problem=made.problem.on(lost)))
+    assert np.array_equal(values(replicas.made_alone), led, equal_nan=True)

@@ -11,9 +11,9 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from det2stoc_bayes.files import atomic_write, replacing
+from det2stoc_bayes.finding_tables import finding_tables
 from det2stoc_bayes.mismatch import finding as module
 from det2stoc_bayes.mismatch.finding import Finding, FindingInvalid, from_json, to_json, write_json
-from det2stoc_bayes.tables import finding_tables
 
 EXAMPLE = {
     "verdict": "mismatch",
@@ -205,6 +205,15 @@ def test_a_vectors_interval_is_shown_component_by_component() -> None:
     console.print(finding_tables(Finding(**told)))
     shown = console.export_text()
     assert "0.5, -0.25" in shown and "0.3 to 0.7, -0.45 to -0.05" in shown and "0.29 to 0.33" in shown
+
+
+def test_a_curve_is_shown_by_its_ends() -> None:
+    told = copy.deepcopy(EXAMPLE)
+    told["effects"][0]["parameters"]["curve"] = {"x": [0.1, 0.2, 0.3], "y": [0.5, -1.25, 0.0], "unit": "N m"}
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(finding_tables(Finding(**told)))
+    shown = console.export_text()
+    assert "-1.25 to 0.5" in shown and "x=" not in shown
 
 
 def test_write_replaces_the_file_whole(tmp_path) -> None:

@@ -270,3 +270,11 @@ def test_the_page_can_be_made_again_from_the_file(finding, fit, html, tmp_path) 
     fit.to_netcdf(tmp_path / "fit.nc")
     with xr.open_datatree(tmp_path / "fit.nc") as read:
         assert Page(diagnosis_page(finding, read, study_name="arm")).words() == Page(html).words()
+
+
+@pytest.mark.parametrize("gain", [6.31, None])
+def test_an_expected_gain_is_told_where_one_was_computed(open_question, gain):
+    finding, fit = open_question
+    told = finding | {"experiment": finding["experiment"] | {"expected_gain": gain}}
+    words = Page(diagnosis_page(told, fit, study_name="arm")).words()
+    assert "What to record next" in words and ("Expected gain" in words) == (gain is not None)

@@ -182,17 +182,17 @@ class ContactComposer:
             each = likeliest(candidates)
             if said.unexplained >= 0.5:
                 return (
-                    f"Something was left out; the nearest in the catalogue ({each[0]}) leaves "
+                    f"Something was left out; the nearest in the catalogue, {each[0]}, leaves "
                     f"{said.unexplained:.0%} of the error beyond noise and contact unexplained."
                 )
             if said.strained:
                 return (
-                    f"Something was left out; the nearest in the catalogue ({', '.join(each)}) may stand for something "
+                    f"Something was left out; the nearest in the catalogue, {', '.join(each)}, may stand for something "
                     f"else: {', '.join(said.strained)} lies far out in its prior beside it."
                 )
             if said.told_worse:
                 return (
-                    f"Something was left out; the nearest in the catalogue ({each[0]}) foretells "
+                    f"Something was left out; the nearest in the catalogue, {each[0]}, foretells "
                     f"{', '.join(said.told_worse)} of recordings that were not fitted worse than the believed model."
                 )
             return f"Something was left out, but the recordings do not tell what: {', '.join(each)}."

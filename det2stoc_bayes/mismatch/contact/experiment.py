@@ -72,7 +72,9 @@ def _word(c: Alternative) -> str:
 
 
 def _where(c: Alternative) -> str:
-    return f"{c.element.kind} {c.element.name}" if c.element else "the simulator"
+    if c.element is None:
+        return "the simulator"
+    return f"the {c.element.name}" if c.element.kind == c.element.name else f"{c.element.kind} {c.element.name}"
 
 
 def _named(c: Alternative) -> str:

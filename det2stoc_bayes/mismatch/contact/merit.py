@@ -7,7 +7,7 @@ import numpy as np
 
 from det2stoc_bayes.mismatch.contact.fit import fit_followed
 from det2stoc_bayes.mismatch.contact.pair import Pair, sketched
-from det2stoc_bayes.mismatch.contact.replicas import replicated
+from det2stoc_bayes.mismatch.contact.replicas import made_alone
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import screen
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
@@ -56,15 +56,16 @@ def gain_by_chance(
     """The most that these gain on fitted recordings as the base would make them; looked for until it is `most`, or
     nowhere near.
 
-    At least `luck`, the height of bumps: where something is missing they may be higher than on any recordings that the
-    base makes.
+    Nothing leads what is made. Who gains by what leading does to bodies that roll or rattle, on recordings of a body
+    that nothing led, gains there as well. At least `luck`, the height of bumps: where something is missing they may be
+    higher than on any recordings that the base makes.
     """
     best = luck
     for k in range(NUM_CHANCES):
         if best >= most or (k and best < FAR_BELOW * most < np.inf):
             break
         progress("measuring chance", k, NUM_CHANCES)
-        followed = replicated(base.fit, np.random.default_rng([seed, 7, k]))
+        followed = made_alone(base.fit, np.random.default_rng([seed, 7, k]))
         fit = fit_followed(followed, base.fit.z, iterations=3, like=base.fit)
         worth = screen(fit, rivals)
         fits = side_by_side(fit.problem, partial(sketched, fit), worth)

@@ -198,10 +198,10 @@ def with_memory(pair: Pair, memory: float) -> Pair:
 
 
 def caught_up(rival: Pair, leader: Pair) -> Pair:
-    """A rival fitted with the leader's memory, from its own effect or from where it predicts as the leader does."""
-    fit, own = rival.fit, rival.placed.size
+    """A rival fitted with the leader's memory, from its own effects or from where it predicts as the leader does."""
+    fit, shared = rival.fit, leader.fit.problem.size - leader.placed.size
     followed = fit.followed.remembering(leader.fit.followed.memory)
-    there = np.concatenate([leader.fit.z[: -leader.placed.size], fit.z[-own:]])
+    there = np.concatenate([leader.fit.z[:shared], fit.z[shared:]])
     alike = mimicking(at(followed, there), leader.fit).z
     return paired(fit_followed(followed, there, others=[alike, fit.z], like=fit), rival.held.followed)
 

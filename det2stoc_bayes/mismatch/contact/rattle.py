@@ -18,7 +18,7 @@ from det2stoc_bayes.mismatch.contact.chances import alike, as_the_best
 from det2stoc_bayes.mismatch.contact.fit import ContactFit, at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.pair import SKETCH, Pair, finished, next_to_nothing, sketched, with_memory
-from det2stoc_bayes.mismatch.contact.replicas import moved_freely
+from det2stoc_bayes.mismatch.contact.replicas import complete, moved_freely
 from det2stoc_bayes.mismatch.contact.screen import Promise
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.finding import SURE
@@ -96,8 +96,7 @@ def likelier(weighed: Sequence[Rival]) -> Pair | None:
 def made_by(fit: ContactFit, seed: int) -> list[Followed]:
     """Sets of recordings that a hypothesis makes; none where its simulations diverge when nothing leads them."""
     made = [moved_freely(fit, np.random.default_rng([seed, 13, k])) for k in range(NUM_MADE)]
-    recorded = np.isfinite(fit.problem.segments.values)
-    return made if all((np.isfinite(m.problem.segments.values) == recorded).all() for m in made) else []
+    return made if all(complete(m, fit) for m in made) else []
 
 
 def log_odds(

@@ -24,6 +24,17 @@ def moved_freely(fit: ContactFit, random: np.random.Generator) -> Followed:
     return _recorded(fit.followed, moved + problem.noise * random.standard_normal(moved.shape))
 
 
+def made_alone(fit: ContactFit, random: np.random.Generator) -> Followed:
+    """What the model makes when nothing leads it, or else, where it diverges then, what it makes led."""
+    free = moved_freely(fit, random)
+    return free if complete(free, fit) else replicated(fit, random)
+
+
+def complete(made: Followed, fit: ContactFit) -> bool:
+    """Whether everything that was recorded has been made."""
+    return bool((np.isfinite(made.problem.segments.values) == np.isfinite(fit.problem.segments.values)).all())
+
+
 def _recorded(followed: Followed, made: Float[np.ndarray, "recordings samples columns"]) -> Followed:
     """What was made, where something was recorded."""
     segments = followed.problem.segments

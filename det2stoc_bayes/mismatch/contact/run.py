@@ -19,6 +19,7 @@ from det2stoc_bayes.mismatch.contact.pair import SKETCH, Pair, paired, with_memo
 from det2stoc_bayes.mismatch.contact.places import conditions, elements_of
 from det2stoc_bayes.mismatch.contact.search import MAX_EFFECTS, Progress, Round, look
 from det2stoc_bayes.mismatch.contact.top import widened
+from det2stoc_bayes.mismatch.contact.unlisted import with_curves
 from det2stoc_bayes.mismatch.contact.yardstick import SURELY, Yardstick, yardstick
 from det2stoc_bayes.mismatch.finding import SURE
 from det2stoc_bayes.mismatch.patch import Patch, make_patch
@@ -82,6 +83,11 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         first_is_little = len(rounds) == 1 and one.leader is None and little(one.base, one.taken)
         if first_is_little or _settled(rounds[0].base, base, rod):
             break
+    taken = [r for r in rounds if r.taken is not None]
+    if taken and (len(taken) > 1 or rod is None or not _settled(rounds[0].base, base, rod)):
+        rounds = with_curves(rounds, base, by_steps_of, progress)
+        if rounds[0].taken is not taken[0].taken:
+            base, rod = top_of(rounds[0].taken)
     progress("scoring held-out recordings", 0, 1)
     before = by_steps_of(base, rounds[0].base)
     if rod is None:
