@@ -11,19 +11,19 @@ from det2stoc_bayes.tables import MISSING, number, stack, table
 
 
 def finding_tables(finding: Finding) -> RenderableType:
-    """A finding: what is left out with how much, the doubtful candidates, and psi before and after."""
+    """All of it, one table below the other; a table without rows is not shown."""
     found = table("effects", "effect", "on", "parameter", "mean>", "95 % interval", "unit", "probability>")
     for effect in finding.effects:
-        head = (effect.name, f"{effect.element.kind} {effect.element.name}")
+        head = (effect.name, effect.element.label)
         for name, value in effect.parameters.items():
-            mean = _reach(value) if isinstance(value, Curve) else _plain(getattr(value, "mean", value))
+            mean = _span(value) if isinstance(value, Curve) else _plain(getattr(value, "mean", value))
             interval, unit = _plain(getattr(value, "interval", None), " to "), getattr(value, "unit", "")
             cells = (name, mean, interval, unit, number(effect.probability, 3))
             found.add_row(*(escape(cell) for cell in (*head, *cells)))
             head = ("", "")
     candidates = table("candidates", "effect", "on", "probability>")
     for c in finding.candidates:
-        on = "" if c.element is None else f"{c.element.kind} {c.element.name}"
+        on = "" if c.element is None else c.element.label
         candidates.add_row(c.name, escape(on), number(c.probability, 3))
     hangs = any(change.over_equivalents for change in finding.psi.values())
     psi = table("psi", "name", "before>", "after>", *(["95 % over equivalents"] if hangs else []))
@@ -45,7 +45,7 @@ def _plain(value: Any, between: str = ", ") -> str:
     return number(value) if isinstance(value, int | float) else MISSING if value is None else str(value)
 
 
-def _reach(curve: Curve) -> str:
+def _span(curve: Curve) -> str:
     """The least and the largest of a curve's values; all of them are in diagnosis.json."""
     known = [y for y in curve.y if y is not None]
     return f"{number(min(known))} to {number(max(known))}" if known else MISSING

@@ -7,7 +7,7 @@ functions, so that the prior is N(0, I) whatever the study's priors are.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -260,16 +260,6 @@ class Problem:
         if self.finer is not None:
             predicted = predicted + np.tile(self.finer.shift, (variants, 1, 1))
         return residuals(predicted, observed, self.quaternions)
-
-
-@runtime_checkable
-class HasProblem(Protocol):
-    """A fit of any kind."""
-
-    @property
-    def problem(self) -> Problem:
-        """The hypothesis."""
-        ...
 
 
 def make_problem(simulator: Simulator, *, num_samples: int | None = None, noise=None) -> Problem:

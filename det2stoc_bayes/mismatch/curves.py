@@ -7,11 +7,10 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.mismatch import finding
+from det2stoc_bayes.mismatch.any_fit import AnyFit
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.effects.unlisted import UnlistedForce
 from det2stoc_bayes.mismatch.evidence import MODEL_ERROR
-from det2stoc_bayes.optimize import Fit
-from det2stoc_bayes.problem import HasProblem
 
 MOSTLY = 0.9  # of a curve's square, or of its power: then it is called so
 WIDE = 0.6  # of the range about a middle that a symmetry must hold over
@@ -26,7 +25,7 @@ def grid(effect: UnlistedForce, values: Mapping[str, Any]) -> list[Float[np.ndar
 
 
 def described(
-    fit: HasProblem, placed: PlacedEffect, values: Mapping[str, Float[np.ndarray, "draws *components"]]
+    fit: AnyFit, placed: PlacedEffect, values: Mapping[str, Float[np.ndarray, "draws *components"]]
 ) -> dict[str, Any]:
     """Parameters of an effect on no list, from draws of its curve: what it depends on, the curve, and words for it."""
     effect = placed.effect
@@ -37,18 +36,17 @@ def described(
     curve = finding.Curve.model_validate(
         {"x": x, "y": mean, "y_sd": sd, "unit": effect.parameters[0].unit_on(placed.element)}
     )
-    left = isinstance(fit, Fit) and fit.noise_inflation >= MODEL_ERROR
     return {
         "variables": effect.variables,
         "columns": columns(placed, fit),
         "curve": curve,
         "symmetry": symmetry(effect.variables, knots, mean),
         "energy": energy(effect.variables, knots, mean),
-        "memory": "possible" if left else "none",
+        "memory": "possible" if fit.noise_inflation >= MODEL_ERROR else "none",
     }
 
 
-def columns(placed: PlacedEffect, fit: HasProblem) -> tuple[str, ...]:
+def columns(placed: PlacedEffect, fit: AnyFit) -> tuple[str, ...]:
     """The variables as a recording calls them."""
     at, model = placed.element, fit.problem.simulator.model
     motor = model.actuator(at.actuators[0]).name if at.actuators else ""

@@ -78,6 +78,11 @@ class Element(Entry):
     kind: str
     name: str
 
+    @property
+    def label(self) -> str:
+        """`joint wrist`; a name that says no more than its kind is said once."""
+        return self.name if self.kind == self.name or self.name == "time" else f"{self.kind} {self.name}"
+
 
 class ElementShare(Element):
     share: Share | None

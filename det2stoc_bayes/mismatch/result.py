@@ -7,13 +7,13 @@ import xarray as xr
 from jaxtyping import Float
 from xarray import DataTree
 
+from det2stoc_bayes.mismatch.any_fit import AnyFit
 from det2stoc_bayes.mismatch.finding import variable_name
 from det2stoc_bayes.mismatch.patch_module import parameter_texts
 from det2stoc_bayes.mismatch.race import Ranked, Slot
 from det2stoc_bayes.mismatch.where import Condition
 from det2stoc_bayes.optimize import Fit
 from det2stoc_bayes.posterior import named_draws
-from det2stoc_bayes.problem import HasProblem
 from det2stoc_bayes.recording import Recording
 from det2stoc_bayes.segments import Segments
 
@@ -22,7 +22,7 @@ __all__ = ["DataTree", "fitted_paths", "fitted_states", "posterior", "ranking", 
 NUM_CHAINS = 4
 
 
-def posterior(fit: HasProblem, z: np.ndarray) -> xr.Dataset:
+def posterior(fit: AnyFit, z: np.ndarray) -> xr.Dataset:
     """Draws of psi and effect parameters by name, dims chain and draw."""
     problem = fit.problem
     names = {"recording": list(problem.unknowns.recordings)} if problem.unknowns.varying else {}
@@ -38,7 +38,7 @@ def _variable(name: str) -> str:
 
 
 def rollouts(
-    fit: HasProblem,
+    fit: AnyFit,
     before: dict[str, np.ndarray],
     after: dict[str, np.ndarray],
     recordings: tuple[Recording, ...],

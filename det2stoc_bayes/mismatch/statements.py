@@ -7,12 +7,13 @@ from jaxtyping import Float
 from scipy import stats
 
 from det2stoc_bayes.mismatch import finding
+from det2stoc_bayes.mismatch.any_fit import AnyFit
 from det2stoc_bayes.mismatch.classes import Class
 from det2stoc_bayes.mismatch.curves import described, sentence
 from det2stoc_bayes.mismatch.effects import PlacedEffect
 from det2stoc_bayes.mismatch.evidence import widened
 from det2stoc_bayes.optimize import Fit
-from det2stoc_bayes.problem import HasProblem, Problem
+from det2stoc_bayes.problem import Problem
 
 NUM_DRAWS = 1000
 INTERVAL = 0.95
@@ -50,9 +51,7 @@ def _simultaneous(values: Float[np.ndarray, "draws components"]) -> float:
     return float(np.quantile(np.abs(2 * rank - 1).max(1), INTERVAL, method="higher"))
 
 
-def parameters(
-    fit: HasProblem, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]
-) -> dict[str, finding.Parameter]:
+def parameters(fit: AnyFit, placed: PlacedEffect, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Parameter]:
     """An effect's parameters from draws of a fit's unknowns; a coupling's source by its name."""
     slot = list(fit.problem.effects).index(placed)
     values = fit.problem.effect_values(z)[slot]
@@ -85,7 +84,7 @@ def mirror(effect: finding.Effect) -> str:
     return f"Mirrored it tells the recordings as well: {', or '.join(tops)}." if tops else ""
 
 
-def psi_moments(fit: HasProblem, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Moments]:
+def psi_moments(fit: AnyFit, z: Float[np.ndarray, "draws size"]) -> dict[str, finding.Moments]:
     """Mean and sd of each psi, by draws of a fit's unknowns."""
     values = zip(fit.problem.simulator.parameters, fit.problem.psi(z).T, strict=True)
     return {p.name: finding.Moments(mean=float(x.mean()), sd=float(x.std())) for p, x in values}
@@ -159,11 +158,16 @@ def alternatives(rest: Sequence[Class], limit: int = 5) -> list[finding.Alternat
 def likeliest(candidates: Sequence[finding.Alternative], limit: int = 3) -> list[str]:
     """The first candidates in words, but for those of 0 %; one without rivals has no probability beside them."""
     likely = [
-        (f"{c.name.replace('_', ' ')} on {c.element.name}", f" ({c.probability:.0%})")
+        (f"{word(c)} on {c.element.name}", f" ({c.probability:.0%})")
         for c in candidates[:limit]
         if c.element and c.probability >= LEAST_TOLD
     ]
     return [name + odds * (len(likely) > 1) for name, odds in likely]
+
+
+def word(c: finding.Alternative) -> str:
+    """What a candidate is called within a sentence."""
+    return "a force on no list" if c.name == "unlisted" else c.name.replace("_", " ")
 
 
 def open_beside(candidates: Sequence[finding.Alternative]) -> str:

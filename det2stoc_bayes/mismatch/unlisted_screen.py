@@ -95,7 +95,8 @@ def _hats(
 
 
 def reach_of(x: Float[np.ndarray, "*points"]) -> tuple[float, float]:
-    """What the motion covers, and a little more."""
+    """What the motion covers, where it stays finite, and a little more; no range where it nowhere does."""
+    x = x[np.isfinite(x)] if np.isfinite(x).any() else np.zeros(1)
     low, high = float(x.min()), float(x.max())
     room = MARGIN * (high - low)
     return (low - room, high + room) if high - low > 1e-9 * max(abs(low), abs(high), 1e-9) else (low, low)

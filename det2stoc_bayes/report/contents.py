@@ -7,6 +7,7 @@ from typing import Any
 import xarray as xr
 from markupsafe import Markup, escape
 
+from det2stoc_bayes.mismatch.finding import Element
 from det2stoc_bayes.report import numbers
 
 BADGES = {"mismatch": "Mismatch found", "no_mismatch": "No mismatch found", "inconclusive": "Inconclusive"}
@@ -25,11 +26,8 @@ def formula(law: str) -> str:
 
 
 def place(element: Mapping[str, Any] | None) -> str:
-    """`joint wrist`; a name that says no more than its kind is said once."""
-    if not element:
-        return ""
-    kind, name = element["kind"], element["name"]
-    return name if kind == name or kind == "sensor" and name == "time" else f"{kind} {name}"
+    """What an element is called; nothing where there is none."""
+    return Element.model_validate(element).label if element else ""
 
 
 def linked(text: str, word: str, target: str) -> Markup:

@@ -406,11 +406,29 @@ def test_chance_gains_little_where_nothing_is_missing(followed, problem, pool):
     gain = merit.gain_by_chance(base, few, 0, quiet, 0.0)
     assert 0 <= gain < 20  # a few nats a parameter
     assert merit.gain_by_chance(base, few, 0, quiet, 187.0, 60.0) == 187.0  # the bumps of the recordings themselves
-    every = merit.NUM_CHANCES
-    for most, sets in ((np.inf, [*range(every + 1)]), (0.0, [every]), (1e4, [0, every])):
+    for most, sets in ((np.inf, len(merit.MAKERS)), (0.0, 0), (1e4, merit.FEWEST)):
         made = []
-        merit.gain_by_chance(base, few, 0, lambda _, k, of, made=made: made.append(k), 0.0, most)
-        assert made == sets  # none where there is enough, one where that is far below; the last is the end
+        merit.gain_by_chance(base, few, 0, lambda _, k, of, made=made: made.append((k, of)), 0.0, most)
+        # None where there is enough, one of each kind where that is far below; the last is the end.
+        assert made == [*((k, len(merit.MAKERS)) for k in range(sets)), (1, 1)]
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_chance_is_asked_of_what_nothing_led_and_of_what_was_led(followed, problem, pool, monkeypatch, kind):
+    """What only one kind of data set shows is seen."""
+    base = pair_of(followed, [z_of(problem, TRUTH)])
+    braked = pair_of(followed, [z_of(problem, TRUTH), 1.0], named(pool, "linear_drag"))
+
+    def with_drag(make):
+        def made(fit, random):
+            there = make(braked.fit, random).problem.segments
+            return replace(fit.followed, problem=fit.problem.on(there))
+
+        return made
+
+    makers = [with_drag(make) if k % 2 == kind else make for k, make in enumerate(merit.MAKERS)]
+    monkeypatch.setattr(merit, "MAKERS", makers)
+    assert merit.gain_by_chance(base, [named(pool, "linear_drag")], 0, quiet, 0.0, 50.0) > 50
 
 
 def test_a_lead_within_the_luck_of_fits_is_not_sure(followed, problem, pool):

@@ -1,5 +1,8 @@
 """Curves in the place of listed laws where bodies touch: taken where no listed law has the shape, and nowhere else."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,12 +10,13 @@ from conftest import make_study
 
 from det2stoc_bayes.mismatch.candidates import candidates
 from det2stoc_bayes.mismatch.contact import unlisted
-from det2stoc_bayes.mismatch.contact.fit import fit_followed
+from det2stoc_bayes.mismatch.contact.fit import at, fit_followed
 from det2stoc_bayes.mismatch.contact.followed import Followed
 from det2stoc_bayes.mismatch.contact.judge import classes
-from det2stoc_bayes.mismatch.contact.pair import paired
+from det2stoc_bayes.mismatch.contact.pair import caught_up, paired
 from det2stoc_bayes.mismatch.contact.places import elements_of
 from det2stoc_bayes.mismatch.contact.search import Round
+from det2stoc_bayes.mismatch.curves import described
 from det2stoc_bayes.problem import make_problem
 from det2stoc_bayes.simulator import Simulator
 
@@ -106,14 +110,64 @@ def test_a_curve_is_taken_where_no_listed_law_has_its_shape(first):
     assert np.sqrt(np.mean(error**2)) < 0.1 * SIZE
 
 
-def test_who_is_ahead_but_not_surely_lessens_the_chance_of_what_was_taken(first, monkeypatch):
+def unsure(*_):
+    """No addition earns anything."""
+    return False
+
+
+def test_who_is_ahead_but_not_surely_leaves_nothing_on_its_joint_sure(first, monkeypatch):
     law, one = first
-    monkeypatch.setattr(unlisted, "surely", lambda *_: False)
-    (found,) = unlisted.with_curves([one], one.taken, as_it_is, quiet)
-    assert found.taken is one.taken
-    assert (classes(found, np.random.default_rng(0))[0].chance < 0.5) == (law is step)
+    monkeypatch.setattr(unlisted, "earns", unsure)
+    elsewhere = replace(one, taken=moved(one.taken, "other"))
+    rounds = unlisted.with_curves([one, elsewhere, one], one.taken, as_it_is, quiet)
+    assert [r.taken for r in rounds] == [r.taken for r in (one, elsewhere, one)]
+    sure = [classes(r, np.random.default_rng(0))[0].chance > 0.5 for r in (rounds[0], rounds[2])]
+    assert sure == [law is spring] * 2 and rounds[1] is elsewhere
 
 
-def test_without_a_law_on_a_joint_there_is_no_curve(first):
+def moved(pair, joint):
+    """The same hypothesis, its effect on a joint of another name."""
+    placed = replace(pair.placed, element=replace(pair.placed.element, name=joint))
+    problem = pair.fit.problem.with_effects((placed,))
+    return replace(pair, fit=replace(pair.fit, followed=pair.fit.followed.with_problem(problem)))
+
+
+def test_without_a_law_on_a_joint_nothing_is_simulated(first):
     _, one = first
-    assert unlisted.curves(one, one.base, 0.0, quiet) == []
+    counter, stages = one.base.fit.problem.simulator.counter, []
+    begun = counter.simulations
+    assert unlisted.curves(one.base, one.base, 0.0, lambda *stage: stages.append(stage)) == []
+    assert counter.simulations == begun and not stages
+
+
+def test_laws_on_one_joint_have_one_place_and_what_they_hold_to_is_none_of_it(first):
+    _, one = first
+    spring = one.taken.placed
+    coupled = replace(spring, element=replace(spring.element, source="other", source_dof=1, source_qpos=1))
+    assert unlisted.joints_of([coupled, spring]) == [(spring.element, spring.typical)]
+    fit = one.base.fit
+    assert unlisted.screened(fit, unlisted.joints_of([coupled]))[0].placed.element == spring.element
+
+
+def test_a_listed_law_of_two_effects_is_fitted_where_it_predicts_as_a_curve_does(first):
+    law, one = first
+    pool = candidates(one.base.fit.problem, elements_of(one.base.fit))
+    damping = next(c for c in pool if c.effect.name == "viscous_damping")
+    followed = one.taken.fit.followed
+    both = followed.with_problem(followed.problem.with_effects((one.taken.placed, damping)))
+    listed = paired(at(both, np.append(one.taken.fit.z, 0.2)), one.taken.held.followed)
+    curve = unlisted.curves(one.base, listed, 2.0, quiet)[0]
+    there = caught_up(listed, curve)
+    start = at(both.remembering(curve.fit.followed.memory), np.append(curve.fit.z[:1], listed.fit.z[1:]))
+    assert there.fit.problem.effects == listed.fit.problem.effects and there.fit.loss < start.loss
+    assert there.fit.followed.memory == curve.fit.followed.memory
+    assert (unlisted.lead(curve, there) > 100) == (law is step)
+
+
+def test_what_a_curve_leaves_beyond_noise_may_be_memory(first):
+    _, one = first
+    curve = unlisted.curves(one.base, one.taken, 2.0, quiet)[0]
+    values = curve.fit.problem.effect_values(curve.fit.z[None])[0]
+    for inflation, memory in ((1.0, "none"), (4.0, "possible")):
+        fit = SimpleNamespace(problem=curve.fit.problem, noise_inflation=inflation)
+        assert described(fit, curve.placed, values)["memory"] == memory

@@ -25,6 +25,7 @@ from det2stoc_bayes.mismatch.statements import (
     parameters,
     psi_moments,
     statement,
+    variables,
 )
 from det2stoc_bayes.mismatch.where import Condition
 
@@ -247,22 +248,14 @@ class ContactComposer:
         base = first.base.losses.sum()
         gains = {p.placed: float(base - p.losses.sum()) for p in first.refined}
         chance = {m.placed: c.chance for place in self.said.places[:1] for c in place for m in c.members}
-        return [
-            (
-                s.placed.effect.name,
-                s.placed.element.kind,
-                s.placed.element.name,
-                gains.get(s.placed, s.gain),
-                chance.get(s.placed, 0.0),
-                "",
-            )
-            for s in first.screened
-        ]
+        told = {s.placed: s.gain for s in first.screened} | gains  # curves were not screened beside the others
+        return [(p.effect.name, p.element.kind, p.element.name, g, chance.get(p, 0.0), "") for p, g in told.items()]
 
 
 def _alternative(c: Class) -> finding.Alternative:
     placed = c.members[0].placed
-    return finding.Alternative(name=placed.effect.name, element=element(placed), probability=min(c.chance, 1.0))
+    named = {"name": placed.effect.name, "element": element(placed), "probability": min(c.chance, 1.0)}
+    return finding.Alternative.model_validate(named | variables(placed))
 
 
 def _memories(said: Verdict) -> dict[str, float]:

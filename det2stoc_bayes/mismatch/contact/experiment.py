@@ -6,6 +6,7 @@ Each effect shows in a motion of its own; the motions of the two most probable o
 from collections.abc import Sequence
 
 from det2stoc_bayes.mismatch.finding import Alternative
+from det2stoc_bayes.mismatch.statements import word
 
 MOTIONS = {
     "friction_error": "slides of several speeds until rest, without turning",
@@ -57,7 +58,7 @@ def proposed(candidates: Sequence[Alternative]) -> str:
     if other.name == first.name:
         return (
             f"Record {_motion(first)} in which {_where(first)} takes part and {_where(other)} does not, and the other "
-            f"way round: {_word(first)} shows in one of both."
+            f"way round: {word(first)} shows in one of both."
         )
     here, there = (f"{_motion(c)}, where {_named(c)} would show" for c in (first, other))
     return f"Record {here}, and {there}: the error stays in one of both."
@@ -67,15 +68,12 @@ def _motion(c: Alternative) -> str:
     return MOTIONS.get(c.name) or OF_KIND[c.element.kind if c.element else "simulator"]
 
 
-def _word(c: Alternative) -> str:
-    return c.name.replace("_", " ")
-
-
 def _where(c: Alternative) -> str:
     if c.element is None:
         return "the simulator"
-    return f"the {c.element.name}" if c.element.kind == c.element.name else f"{c.element.kind} {c.element.name}"
+    label = c.element.label
+    return f"the {label}" if label == c.element.name else label
 
 
 def _named(c: Alternative) -> str:
-    return f"{_word(c)} on {_where(c)}"
+    return f"{word(c)} on {_where(c)}"

@@ -97,6 +97,13 @@ class ContactFit:
         """Weighed sensitivities to the unknowns."""
         return self.weighed(self.columns)
 
+    def beside(
+        self, columns: Float[np.ndarray, "blocks values k"]
+    ) -> tuple[Float[np.ndarray, "blocks values k"], Float[np.ndarray, "size k"]]:
+        """Weighed changes as far as the unknowns do not make them, and what of these would."""
+        share = np.linalg.solve(self.gram, np.einsum("wnk,wnl->kl", self.told, columns))
+        return columns - self.told @ share, share
+
     @cached_property
     def left(self) -> Float[np.ndarray, "blocks values"]:
         """Weighed errors."""

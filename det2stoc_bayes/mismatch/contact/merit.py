@@ -7,7 +7,7 @@ import numpy as np
 
 from det2stoc_bayes.mismatch.contact.fit import fit_followed
 from det2stoc_bayes.mismatch.contact.pair import Pair, sketched
-from det2stoc_bayes.mismatch.contact.replicas import made_alone
+from det2stoc_bayes.mismatch.contact.replicas import made_alone, replicated
 from det2stoc_bayes.mismatch.contact.scales import certainty
 from det2stoc_bayes.mismatch.contact.screen import screen
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
@@ -17,8 +17,8 @@ from det2stoc_bayes.mismatch.effects import PlacedEffect
 LEAST_CERTAIN = 3.0  # standard errors of the gain over blocks: of those fitted
 HELD_GAIN = 3.0  # nats of it on recordings held out
 TIMES = 3.0  # what chance gains at most
-NUM_CHANCES = 3  # data sets that the base itself makes
-FAR_BELOW = 0.2  # of what is asked for: by one set that gains no more, others are not made
+MAKERS = (made_alone, replicated) * 2  # of the data sets that the base itself makes
+FAR_BELOW, FEWEST = 0.2, 2  # of what is asked for: by so many sets that gain no more, others are not made
 
 
 def earns(base: Pair, more: Pair, needed: float, chance: Callable[[float], float]) -> bool:
@@ -56,19 +56,19 @@ def gain_by_chance(
     """The most that these gain on fitted recordings as the base would make them; looked for until it is `most`, or
     nowhere near.
 
-    Nothing leads what is made. Who gains by what leading does to bodies that roll or rattle, on recordings of a body
-    that nothing led, gains there as well. At least `luck`, the height of bumps: where something is missing they may be
-    higher than on any recordings that the base makes.
+    Half of the sets nothing leads: who gains on recordings of a body that nothing led by what leading does to one that
+    rolls or rattles, gains there as well; but free motion may leave what was recorded. At least `luck`, the height of
+    bumps: where something is missing they may be higher than on any recordings that the base makes.
     """
     best = luck
-    for k in range(NUM_CHANCES):
-        if best >= most or (k and best < FAR_BELOW * most < np.inf):
+    for k, make in enumerate(MAKERS):
+        if best >= most or (k >= FEWEST and best < FAR_BELOW * most < np.inf):
             break
-        progress("measuring chance", k, NUM_CHANCES)
-        followed = made_alone(base.fit, np.random.default_rng([seed, 7, k]))
+        progress("measuring chance", k, len(MAKERS))
+        followed = make(base.fit, np.random.default_rng([seed, 7, k]))
         fit = fit_followed(followed, base.fit.z, iterations=3, like=base.fit)
         worth = screen(fit, rivals)
         fits = side_by_side(fit.problem, partial(sketched, fit), worth)
         best = max([best, *(float(fit.losses.sum() - f.losses.sum()) for f in fits)])
-    progress("measuring chance", NUM_CHANCES, NUM_CHANCES)
+    progress("measuring chance", 1, 1)
     return best

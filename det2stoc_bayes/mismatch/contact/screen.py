@@ -105,7 +105,7 @@ def some(fit: ContactFit) -> ContactFit:
 
 def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[Promise]:
     """What trials promise to first order; best first, each by its best size."""
-    trials, room = list(placed.effect.trials(placed.typical)), max(MOST_HELD // led.held, 1)
+    trials, room = list(placed.effect.trials(placed.typical)), at_once(led)
     if of_constants(placed):
         sized = [(t, size) for t in trials for size in _sizes(placed, t, WIDE)]
         each = _to_both_sides(fit, led.lessened, placed, sized, room)
@@ -116,9 +116,14 @@ def _foretold(fit: ContactFit, led: LedResponse, placed: PlacedEffect) -> list[P
     return sorted(found, key=lambda p: -p.gain)[:KEPT]
 
 
+def at_once(led: LedResponse) -> int:
+    """Columns of what changes that are told together."""
+    return max(MOST_HELD // led.held, 1)
+
+
 def _tried(fit: ContactFit, led: LedResponse, placed: PlacedEffect, trials: Sequence[Trial]) -> list[Promise]:
     """What each promises to first order, by columns as they are."""
-    changes = _changes(led.lessened, placed, [(t, 1.0) for t in trials], max(MOST_HELD // led.held, 1))
+    changes = _changes(led.lessened, placed, [(t, 1.0) for t in trials], at_once(led))
     return [_promised(fit, placed, t, own, 1.0) for t, own in zip(trials, changes, strict=True)]
 
 
@@ -222,11 +227,9 @@ def _simulated(
 
 def _promised(fit: ContactFit, placed: PlacedEffect, trial: Trial, columns: np.ndarray, factor: float) -> Promise:
     """The gain of one Gauss-Newton step beside psi."""
-    columns = fit.weighed(columns)
-    share = np.linalg.solve(fit.gram, np.einsum("wnk,wnl->kl", fit.told, columns))
-    beside = columns - fit.told @ share
+    beside, share = fit.beside(fit.weighed(columns))
     sd = trial.sd / factor
-    inner = np.einsum("wnk,wnl->kl", beside, beside) + np.eye(columns.shape[2]) / sd**2
+    inner = np.einsum("wnk,wnl->kl", beside, beside) + np.eye(beside.shape[2]) / sd**2
     total = np.einsum("wnk,wn->k", beside, fit.left)
     step = np.linalg.solve(inner, total)
     step = np.where(one_sided(placed, trial), np.maximum(step, 0.0), step)

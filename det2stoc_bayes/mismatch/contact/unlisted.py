@@ -12,10 +12,10 @@ import numpy as np
 
 from det2stoc_bayes.mismatch.contact.fit import ContactFit
 from det2stoc_bayes.mismatch.contact.led_response import LedResponse
-from det2stoc_bayes.mismatch.contact.merit import HELD_GAIN, LEAST_CERTAIN, held_gain
+from det2stoc_bayes.mismatch.contact.merit import earns
 from det2stoc_bayes.mismatch.contact.pair import Pair, caught_up, finished, sketched
-from det2stoc_bayes.mismatch.contact.scales import certainty
-from det2stoc_bayes.mismatch.contact.screen import Promise
+from det2stoc_bayes.mismatch.contact.rattle import Rival
+from det2stoc_bayes.mismatch.contact.screen import Promise, at_once
 from det2stoc_bayes.mismatch.contact.search import Progress, Round, longest
 from det2stoc_bayes.mismatch.contact.side_by_side import side_by_side
 from det2stoc_bayes.mismatch.effects.base import SMALL, PlacedEffect
@@ -26,43 +26,41 @@ from det2stoc_bayes.mismatch.race import threshold
 from det2stoc_bayes.mismatch.unlisted_screen import reach_of, shapes
 
 NUM_FITTED = 2  # of the curves that promise most
-PROMISING = 0.5  # of what the best of all promises: a curve that promises less is not fitted
-
-
-def joints_of(effects: Sequence[PlacedEffect]) -> list[tuple[Element, Typical]]:
-    """The joints that these effects sit on, and what is typical there."""
-    return list(dict.fromkeys((e.element, e.typical) for e in effects if e.element.kind == "joint"))
+PROMISING = 0.5  # of what the first of them promises: a curve that promises less is not fitted
+EVEN = 0.0  # log odds
 
 
 def with_curves(
     rounds: Sequence[Round], after: Pair, by_steps_of: Callable[[Pair, Pair], Pair], progress: Progress
 ) -> list[Round]:
-    """The rounds that led to `after`; where a curve surely tells more, one alone in which it is taken instead.
+    """The rounds that led to `after`; where the likeliest curve surely tells more, one alone in which it is taken.
 
-    Who is ahead but not surely stands beside what was taken last. `by_steps_of` gives a hypothesis another's steps.
+    Where it is ahead, but not surely, nothing that was taken on its joint is sure: it has even odds there.
+    `by_steps_of` gives a hypothesis another's steps.
     """
     taken = [r for r in rounds if r.taken is not None]
-    first, last = taken[0], taken[-1]
-    luck = max(r.luck for r in taken)
-    found = curves(first, after, luck, progress)
+    first, luck = taken[0], max(r.luck for r in taken)
+    found = curves(first.base, after, luck, progress)
     if not found:
         return list(rounds)
     needed, curve = max(threshold(len(first.screened)), luck), by_steps_of(after, found[0])
     ways = (after, caught_up(after, curve))
     if min(lead(curve, listed) for listed in ways) < needed:
         return list(rounds)
-    if all(surely(curve, listed) for listed in ways):
+    if all(earns(listed, curve, needed, lambda most: most) for listed in ways):
         return [replace(first, refined=(*found, *first.refined), taken=found[0], rivals=(), leader=None)]
-    return [replace(r, refined=(*r.refined, found[0])) if r is last else r for r in rounds]
+    rival = Rival(found[0], EVEN)
+    return [replace(r, rivals=(*r.rivals, rival)) if _on_joint_of(r, rival.pair) else r for r in rounds]
 
 
-def curves(first: Round, after: Pair, luck: float, progress: Progress) -> list[Pair]:
-    """Curves beside a round's base, in the place of what `after` adds to it on joints, best first."""
-    fit, held = first.base.fit, first.base.held.followed
-    added = after.fit.problem.effects[len(fit.problem.effects) :]
-    promised = screened(fit, joints_of(added))
-    least = PROMISING * max([0.0, *(p.gain for p in promised), *(s.gain for s in first.screened if s.placed in added)])
-    worth = [p for p in promised if p.gain > least][:NUM_FITTED]
+def curves(base: Pair, after: Pair, luck: float, progress: Progress) -> list[Pair]:
+    """Curves beside a base, in the place of what `after` adds to it on joints, best first."""
+    fit, held = base.fit, base.held.followed
+    places = joints_of(after.fit.problem.effects[len(fit.problem.effects) :])
+    promised = screened(fit, places) if places else []
+    worth = [p for p in promised if p.gain > PROMISING * promised[0].gain > 0][:NUM_FITTED]
+    if not worth:
+        return []
 
     def fitted(promise: Promise) -> Pair:
         return longest(finished(sketched(fit, promise), held, luck), luck)
@@ -73,18 +71,18 @@ def curves(first: Round, after: Pair, luck: float, progress: Progress) -> list[P
     return sorted(found, key=lambda p: p.height)
 
 
+def joints_of(effects: Sequence[PlacedEffect]) -> list[tuple[Element, Typical]]:
+    """The joints that these effects sit on, and what is typical there; what one of them holds to is its own matter."""
+    own = [(replace(e.element, source="", source_dof=-1, source_qpos=-1), e.typical) for e in effects]
+    return list({at.name: (at, typical) for at, typical in own if at.kind == "joint"}.values())
+
+
 def lead(curve: Pair, listed: Pair) -> float:
-    """Nats by which a curve tells recordings better than listed laws, less one for each unknown that it has more.
+    """Nats by which a curve is likelier than listed laws whose size and other parameters no prior holds back.
 
-    Their priors have no say: a listed law of unusual size is no less that law, and a curve's prior suits its size.
+    A listed law of unusual size is no less that law; the prior of a curve was chosen for its size.
     """
-    return float((listed.losses - curve.losses).sum()) - (curve.fit.problem.size - listed.fit.problem.size)
-
-
-def surely(curve: Pair, listed: Pair) -> bool:
-    """Whether most recordings have a curve ahead, and those held out do."""
-    sure = certainty(listed.losses - curve.losses, curve.owners) >= LEAST_CERTAIN
-    return sure and held_gain(listed, curve) >= HELD_GAIN
+    return float(listed.losses.sum()) + 0.5 * log_det(listed.fit.gram) - curve.height
 
 
 def screened(fit: ContactFit, places: Sequence[tuple[Element, Typical]]) -> list[Promise]:
@@ -106,13 +104,12 @@ def _best(
     if low == high:
         return None
     effect = form(((low, high),))
-    given, small = effect.given(typical), SMALL * typical.force
+    given, small, room = effect.given(typical), SMALL * typical.force, at_once(led)
     knots = [{"curve": knot, **given} for knot in small * np.eye(len(effect.modes))]
-    columns = fit.weighed(led.lessened(PlacedEffect(effect, at, typical), knots) / small)
-    share = np.linalg.solve(fit.gram, np.einsum("wnk,wnl->kl", fit.told, columns))
-    beside = columns - fit.told @ share
-    inner = np.einsum("wnk,wnl->kl", beside, beside)
-    total = np.einsum("wnk,wn->k", beside, fit.left)
+    some = [knots[k : k + room] for k in range(0, len(knots), room)]
+    told = [fit.weighed(led.lessened(PlacedEffect(effect, at, typical), s) / small) for s in some]
+    beside, share = fit.beside(np.concatenate(told, -1))
+    inner, total = np.einsum("wnk,wnl->kl", beside, beside), np.einsum("wnk,wn->k", beside, fit.left)
     best: Promise | None = None
     for shape in shapes(form, ((low, high),)):
         root = shape.root(typical)
@@ -123,3 +120,9 @@ def _best(
             curve = root @ z
             best = Promise(PlacedEffect(shape, at, typical), earned, {"curve": curve, **given}, -share @ curve)
     return best
+
+
+def _on_joint_of(one: Round, curve: Pair) -> bool:
+    """Whether what a round took sits on the joint of a curve."""
+    own = one.taken and one.taken.placed.element
+    return own is not None and (own.kind, own.name) == ("joint", curve.placed.element.name)
