@@ -20,6 +20,7 @@ FINER = 4  # steps of reality for one of the model
 PERIOD, FITTED, HELD = 0.01, 6, 2
 NOISE_Q, NOISE_V = 5e-4, 5e-3
 TILT, MASS, PLACE, ROLLING, SQUARE = 0.03, 0.05, (0.05, 0.06, -0.3), 0.003, 0.12  # rad, kg, m, m, kg/m
+STEEP = 15.0  # 1/rad
 
 type Prepare = Callable[[mujoco.MjModel], Callable[[mujoco.MjData], None]]
 
@@ -67,6 +68,20 @@ def hardening(joint: str, coefficient: float) -> Prepare:
 
         def push(data: mujoco.MjData) -> None:
             data.qfrc_passive[dof] -= coefficient * data.qpos[place] ** 3
+
+        return push
+
+    return prepare
+
+
+def stepping(joint: str, size: float, place: float) -> Prepare:
+    """A torque that changes its sign within a few degrees: on no list, N m."""
+
+    def prepare(model: mujoco.MjModel) -> Callable[[mujoco.MjData], None]:
+        at, dof = model.joint(joint).qposadr[0], model.joint(joint).dofadr[0]
+
+        def push(data: mujoco.MjData) -> None:
+            data.qfrc_passive[dof] += size * np.tanh(STEEP * (data.qpos[at] - place))
 
         return push
 
@@ -169,6 +184,7 @@ CASES: dict[str, Case] = {
     "stops-friction": (Hidden("stops", rubbing("elbow", 0.02)), "coulomb_friction", "elbow"),
     "stops-cubic": (Hidden("stops", hardening("shoulder", 0.5)), "cubic_stiffness", "shoulder"),
     "hopper-saturation": (Hidden("hopper", clipped("knee_servo", 1.2)), "actuator_saturation", "knee_servo"),
+    "hopper-step": (Hidden("hopper", stepping("hip", 1.5, 0.55)), "unlisted", "hip"),
     "hopper-nothing": (Hidden("hopper", NOTHING), "", ""),
     "pusher-tilt": (Hidden("pusher", changing(tilted)), "gravity_tilt", "world"),
     "pusher-nothing": (Hidden("pusher", NOTHING), "", ""),
