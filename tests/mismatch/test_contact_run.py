@@ -69,6 +69,46 @@ def test_a_first_addition_that_surely_takes_little_off_ends_it(
     assert asked[0] is (not little or other_gains > 0) and all(asked[1:])
 
 
+@pytest.mark.parametrize(
+    ("num_taken", "settled", "is_asked"), [(0, False, False), (1, True, False), (1, False, True), (2, True, True)]
+)
+def test_a_curve_is_looked_for_where_more_is_left_or_several_were_taken(
+    tmp_path, monkeypatch, num_taken, settled, is_asked
+):
+    """And where it is taken it is what the verdict is of."""
+    problem = make_problem(Simulator(make_study(tmp_path / "study", XML.format(0.02), PSI, slides()), num_threads=1))
+    few = Followed(problem).on(problem.simulator.study.recordings[:1])
+    base, taken, curve = (Pair(fit, fit) for fit in (at(few, np.zeros(1)) for _ in range(3)))
+    rod = Yardstick((), Scales(np.ones(few.shape[-1])), 1.0, 0)
+    looks = iter([Round(base, (), (), taken)] * num_taken + [Round(base, (), (), None)])
+    ends = iter([False] * (num_taken - 1) + [settled] * 2)
+    asked, told = [], []
+
+    def with_curves(rounds, after, by_steps_of, progress):
+        asked.append(after)
+        return [replace(rounds[0], taken=curve)]
+
+    def judged(before, rounds, seed, final, rod):
+        told.append((rounds, final))
+        raise Judged
+
+    monkeypatch.setattr(run, "fit_believed", lambda _: base)
+    monkeypatch.setattr(run, "look", lambda *_: next(looks))
+    monkeypatch.setattr(run, "with_curves", with_curves)
+    monkeypatch.setattr(run, "judged", judged)
+    monkeypatch.setattr(run, "_by_steps_that_tell", lambda p: p)
+    monkeypatch.setattr(run, "_by_steps_of", lambda _, p: p)
+    monkeypatch.setattr(run, "_measured", lambda p, _: (p, rod))
+    monkeypatch.setattr(run, "_settled", lambda *_: next(ends))
+    monkeypatch.setattr(run, "surely_little", lambda *_: False)
+    monkeypatch.setattr(run, "widened", lambda fit, *_: fit)
+    with pytest.raises(Judged):
+        run.diagnosed(problem, 0, lambda *_: None)
+    ((rounds, final),) = told
+    assert bool(asked) is is_asked and (rounds[0].taken is curve) is is_asked
+    assert (final is curve) is is_asked
+
+
 @pytest.mark.parametrize("verdict", ["mismatch", "no_mismatch", "inconclusive"])
 def test_what_is_told_is_no_surer_than_fits_that_begin_about_it(tmp_path, monkeypatch, verdict):
     """Of the explanation, or where nothing is missing of the believed model, which then stands for both.

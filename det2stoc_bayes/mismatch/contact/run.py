@@ -83,10 +83,9 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         first_is_little = len(rounds) == 1 and one.leader is None and little(one.base, one.taken)
         if first_is_little or _settled(rounds[0].base, base, rod):
             break
-    taken = [r for r in rounds if r.taken is not None]
-    if taken and (len(taken) > 1 or rod is None or not _settled(rounds[0].base, base, rod)):
-        rounds = with_curves(rounds, base, by_steps_of, progress)
-        if rounds[0].taken is not taken[0].taken:
+    if _may_be_another_shape(rounds, base, rod):
+        listed, rounds = rounds[0].taken, with_curves(rounds, base, by_steps_of, progress)
+        if rounds[0].taken is not listed:
             base, rod = top_of(rounds[0].taken)
     progress("scoring held-out recordings", 0, 1)
     before = by_steps_of(base, rounds[0].base)
@@ -138,6 +137,12 @@ def _settled(before: Pair, after: Pair, rod: Yardstick) -> bool:
     """Whether surely so little of the error is left that whatever else explains it were negligible."""
     most = rod.of(after) + SURELY * rod.uncertain(after)
     return rod.left(rod.of(with_memory(before, after.fit.followed.memory)), most) < NEGLIGIBLE
+
+
+def _may_be_another_shape(rounds: Sequence[Round], after: Pair, rod: Yardstick | None) -> bool:
+    """Whether several were taken, or what was taken leaves more than next to nothing; `rod`: of `after`, if known."""
+    taken = [r for r in rounds if r.taken is not None]
+    return bool(taken) and (len(taken) > 1 or rod is None or not _settled(rounds[0].base, after, rod))
 
 
 def fit_believed(problem: Problem, *, hold_out: bool = True) -> Pair:
