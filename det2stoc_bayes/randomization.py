@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from det2stoc_bayes.errors import Det2StocError, listing
-from det2stoc_bayes.files import atomic_write
+from det2stoc_bayes.files import atomic_write, check_folder
 from det2stoc_bayes.mismatch.patch import make_patch
 from det2stoc_bayes.posterior import DataTree
 from det2stoc_bayes.study import Study
@@ -26,8 +26,11 @@ def draw_psi(
 ) -> Float[np.ndarray, "draws psi"]:
     """psi of new episodes: of the posterior, and of its population where psi varies by recording.
 
-    Draws are taken without replacement as long as there are enough. Det2StocError: a psi that the posterior lacks.
+    Draws are taken without replacement as long as there are enough. Det2StocError: a psi that the posterior lacks, or
+    no draw.
     """
+    if num_draws < 1:
+        raise Det2StocError(f"num_draws: found {num_draws}; allowed: 1 or more")
     if "posterior" not in tree.children:
         raise Det2StocError(
             f"the fit by {tree.attrs.get('method')} infers no psi; allowed: a posterior, as laplace gives"
@@ -77,6 +80,7 @@ def export(
 
     Det2StocError: what MJCF cannot say of a psi (then without `models`), or a posterior of another study.
     """
+    check_folder(Path(out))
     folder, psi = Path(out), draw_psi(study, tree, num_draws, np.random.default_rng(seed))
     names = [p.name for p in study.parameters]
     width = len(str(num_draws))

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -27,6 +28,7 @@ from det2stoc_bayes.priors import Prior
 from det2stoc_bayes.recording import Recording, StudyWarning, read_recording
 from det2stoc_bayes.recording_clocks import check_clocks
 from det2stoc_bayes.study_file import FILES, LikelihoodTable, PsiTable, check_stems, find_files, inside, read_toml
+from det2stoc_bayes.study_places import places, warn_of_known
 from det2stoc_bayes.suggestions import choices
 
 if TYPE_CHECKING:
@@ -102,7 +104,10 @@ def load_study(folder: Path) -> Study:
     if not files:
         raise StudyError(f"{source}: recordings: no file matches '{content.recordings}'; allowed: one or more")
     if not held_out and "holdout" in content.model_fields_set:
-        warnings.warn(f"{source}: holdout: no file matches '{content.holdout}'", StudyWarning, stacklevel=2)
+        nothing = (
+            f"{source}: holdout: no file matches '{content.holdout}'; of the recordings themselves some are held out"
+        )
+        warnings.warn(nothing, StudyWarning, stacklevel=2)
     check_stems(files, held_out, content.known, source)
     recordings = tuple(read_recording(path, names) for path in files)
     holdout = _apart(tuple(read_recording(path, names) for path in held_out), {r.name for r in recordings})
@@ -111,6 +116,7 @@ def load_study(folder: Path) -> Study:
     _warn_of_controls((*recordings, *holdout), names)
     noise = _noise(content.noise, [c for r in (*recordings, *holdout) for c in r.columns], names, source)
     known = {stem: _known(values, model, names, f"{source}: known.{stem}") for stem, values in content.known.items()}
+    warn_of_known(parameters, known, model, source)
     measurement = _measurement(content.likelihood, source)
     name = folder.resolve().name
     return Study(folder, name, model_path, parameters, noise, known, recordings, holdout, names, measurement)
@@ -238,13 +244,10 @@ def _check_together(parameters: Sequence[Parameter], model: "mujoco.MjModel", so
     """No two parameters set the same number, or appear under one name in the results."""
     owner: dict[tuple[str, str, int, int], str] = {}
     for p in parameters:
-        for row in rows_of(model, p.target.kind, p.target.name, p.target.field):
-            for component in p.index or (0,):
-                first = owner.setdefault((p.target.kind, p.target.field, int(row), component), p.name)
-                if first != p.name:
-                    raise StudyError(
-                        f"{source}: psi.{p.name}: {p.target} is set by psi.{first} already; allowed: one psi"
-                    )
+        for place, component in product(places(p.target, model), p.index or (0,)):
+            first = owner.setdefault((*place, component), p.name)
+            if first != p.name:
+                raise StudyError(f"{source}: psi.{p.name}: {p.target} is set by psi.{first} already; allowed: one psi")
     names = {p.name for p in parameters}
     for p in parameters:
         derived = {f"{p.name}_mu", f"{p.name}_sigma"} & names if p.varies == "trajectory" else set()

@@ -9,10 +9,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from det2stoc_bayes.errors import StudyError, listing
-from det2stoc_bayes.recording import StudyWarning
+from det2stoc_bayes.recording import LARGEST, StudyWarning
 from det2stoc_bayes.suggestions import choices
 
 FILES = ("study.toml", "psi.toml")
+LEAST = 1e-30  # of a noise sd, in SI units: its square must stay a number
 
 
 class _Strict(BaseModel):
@@ -28,6 +29,7 @@ class PsiTable(_Strict):
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Noise = Annotated[float, Field(ge=LEAST, le=LARGEST)]
 
 
 class LikelihoodTable(_Strict):
@@ -40,7 +42,7 @@ class StudyFile(_Strict):
     recordings: str = "recordings/*.csv"
     holdout: str = "holdout/*.csv"
     psi: dict[str, PsiTable] = {}
-    noise: dict[str, _Positive] = {}
+    noise: dict[str, _Noise] = {}
     likelihood: LikelihoodTable = LikelihoodTable()
     known: dict[str, dict[str, _Finite | list[_Finite]]] = {}
 
@@ -76,7 +78,9 @@ def _first_problem(error: ValidationError) -> str:
         return f"{key}: unknown key; {choices(path[-1], table.model_fields)}{more}"
     if first["type"] == "missing":
         return f"{key}: missing; found {listing(found)}; allowed: {listing(PsiTable.model_fields)}{more}"
-    allowed = {"known": "a finite number, or a list of them", "noise": "a finite number above 0"}.get(path[0])
+    allowed = {"known": "a finite number, or a list of them", "noise": f"a number from {LEAST:g} to {LARGEST:g}"}.get(
+        path[0]
+    )
     allowed = allowed or first["msg"].removeprefix("Input should be ")
     for python, toml in (("a valid dictionary", "a table"), ("a valid string", "a text in quotes")):
         allowed = allowed.replace(python, toml)

@@ -86,6 +86,16 @@ def test_a_fit_that_infers_no_psi_is_refused(study):
         draw_psi(study, tree, 3, np.random.default_rng(0))
 
 
+def test_no_draw_and_a_file_in_the_place_of_the_folder_are_errors(study, tmp_path):
+    tree = tree_of([0.1, 0.2], [0.1, 0.1], [1.0, 1.1])
+    with pytest.raises(Det2StocError, match="num_draws: found -1; allowed: 1 or more"):
+        export(study, tree, tmp_path / "out", num_draws=-1)
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(Det2StocError, match="is a file; allowed: a folder"):
+        export(study, tree, tmp_path / "file", num_draws=1)
+    assert (tmp_path / "file").read_text() == "mine" and not (tmp_path / "out").exists()
+
+
 def test_what_mjcf_does_not_take_is_an_error(tmp_path):
     """Moments of inertia of which one exceeds the sum of the others; the table alone says them."""
     toml = '[psi.inertia]\ntarget = "body/arm/inertia"\nindex = [0]\nprior = { Uniform = { low = 1, high = 2 } }\n'

@@ -206,10 +206,12 @@ MISTAKES = {  # study.toml, what the message names, what it allows
         "did you mean 'qpos/robot/elbow'?",
     ),
     "noise of control": ("[noise]\n'ctrl/motor' = 1", "noise.'ctrl/motor'", "qpos/box/x"),
-    "noise 0": ("[noise]\n'*' = 0", "noise.*: found 0", "above 0"),
-    "noise below 0": ("[noise]\n'*' = -1e-3", "noise.*: found -0.001", "above 0"),
-    "noise nan": ("[noise]\n'*' = nan", "noise.*: found nan", "above 0"),
-    "noise as text": ("[noise]\n'*' = '1'", "noise.*: found '1'", "above 0"),
+    "noise 0": ("[noise]\n'*' = 0", "noise.*: found 0", "1e-30 to 1e+12"),
+    "noise below 0": ("[noise]\n'*' = -1e-3", "noise.*: found -0.001", "1e-30 to 1e+12"),
+    "noise nan": ("[noise]\n'*' = nan", "noise.*: found nan", "1e-30 to 1e+12"),
+    "noise so small": ("[noise]\n'*' = 1e-300", "noise.*: found 1e-300", "1e-30 to 1e+12"),
+    "noise so large": ("[noise]\n'*' = 1e300", "noise.*: found 1e+300", "1e-30 to 1e+12"),
+    "noise as text": ("[noise]\n'*' = '1'", "noise.*: found '1'", "1e-30 to 1e+12"),
     "noise unquoted": ("[noise]\nqpos/box/x = 1", "study.toml: ", "names with a slash are quoted"),
     "known recording": (
         "[known.bb]\n'body/tip/mass' = 1",
@@ -336,7 +338,14 @@ def test_a_bad_recording_fails_the_study(folder: Path):
             "psi.mu: the model's pair/floor_box/friction = 1 lies",
         ),
         ("[noise]\n'qvel/*' = 1", r"noise.'qvel/\*': no recording has such a column"),
-        ("holdout = 'held_out/*.csv'", r"holdout: no file matches 'held_out/\*.csv'"),
+        (
+            "holdout = 'held_out/*.csv'",
+            r"holdout: no file matches 'held_out/\*.csv'; of the recordings themselves some",
+        ),
+        (
+            psi() + "\n[known.b]\n'pair/floor_box/friction' = [1, 1, 0.005, 0.0001, 0.0001]",
+            "known.b.'pair/floor_box/friction' stands in the place of psi.mu in that recording",
+        ),
     ],
 )
 def test_suspicions_are_told(folder: Path, text: str, told: str):

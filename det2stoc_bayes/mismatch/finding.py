@@ -19,8 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import atomic_write
 
-SURE = 0.8
-"""An effect is named when its equivalence class has at least this probability."""
+SURE = 0.8  # probability of its equivalence class from which on an effect is named
 
 type Json = None | bool | int | float | str | list[Json] | dict[str, Json]
 type Number = float | None
@@ -33,12 +32,9 @@ def _within_rounding(value: Any) -> Any:
     return 1.0 if isinstance(value, float) and 1.0 < value < 1.0 + ROUNDING else value
 
 
-Probability = Annotated[float, Field(ge=0, le=1), BeforeValidator(_within_rounding)]
-Share = Annotated[
-    float,
-    Field(le=1, description="fraction of the squared whitened residual in excess of noise"),
-    BeforeValidator(_within_rounding),
-]
+_LAX = BeforeValidator(_within_rounding)
+Probability = Annotated[float, Field(ge=0, le=1), _LAX]
+Share = Annotated[float, Field(le=1, description="fraction of the squared whitened residual in excess of noise"), _LAX]
 
 
 class FindingInvalid(Det2StocError):
