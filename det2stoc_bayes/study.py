@@ -104,9 +104,7 @@ def load_study(folder: Path) -> Study:
     if not files:
         raise StudyError(f"{source}: recordings: no file matches '{content.recordings}'; allowed: one or more")
     if not held_out and "holdout" in content.model_fields_set:
-        nothing = (
-            f"{source}: holdout: no file matches '{content.holdout}'; of the recordings themselves some are held out"
-        )
+        nothing = f"{source}: holdout: no file matches '{content.holdout}'; a diagnosis sets recordings aside itself"
         warnings.warn(nothing, StudyWarning, stacklevel=2)
     check_stems(files, held_out, content.known, source)
     recordings = tuple(read_recording(path, names) for path in files)

@@ -14,6 +14,7 @@ from det2stoc_bayes.suggestions import choices
 
 FILES = ("study.toml", "psi.toml")
 LEAST = 1e-30  # of a noise sd, in SI units: its square must stay a number
+ALLOWED = {"known": "a finite number, or a list of them", "noise": f"a number from {LEAST:g} to {LARGEST:g}"}
 
 
 class _Strict(BaseModel):
@@ -78,10 +79,7 @@ def _first_problem(error: ValidationError) -> str:
         return f"{key}: unknown key; {choices(path[-1], table.model_fields)}{more}"
     if first["type"] == "missing":
         return f"{key}: missing; found {listing(found)}; allowed: {listing(PsiTable.model_fields)}{more}"
-    allowed = {"known": "a finite number, or a list of them", "noise": f"a number from {LEAST:g} to {LARGEST:g}"}.get(
-        path[0]
-    )
-    allowed = allowed or first["msg"].removeprefix("Input should be ")
+    allowed = ALLOWED.get(path[0]) or first["msg"].removeprefix("Input should be ")
     for python, toml in (("a valid dictionary", "a table"), ("a valid string", "a text in quotes")):
         allowed = allowed.replace(python, toml)
     found = repr(found[:60]) if isinstance(found, str) else repr(found)[:60]

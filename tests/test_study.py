@@ -340,7 +340,7 @@ def test_a_bad_recording_fails_the_study(folder: Path):
         ("[noise]\n'qvel/*' = 1", r"noise.'qvel/\*': no recording has such a column"),
         (
             "holdout = 'held_out/*.csv'",
-            r"holdout: no file matches 'held_out/\*.csv'; of the recordings themselves some",
+            r"holdout: no file matches 'held_out/\*.csv'; a diagnosis sets recordings aside itself",
         ),
         (
             psi() + "\n[known.b]\n'pair/floor_box/friction' = [1, 1, 0.005, 0.0001, 0.0001]",

@@ -19,6 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from det2stoc_bayes.errors import Det2StocError
 from det2stoc_bayes.files import atomic_write
 
+CLOCK = "sensor", "time"  # the element that recorded times are
 SURE = 0.8  # probability of its equivalence class from which on an effect is named
 
 type Json = None | bool | int | float | str | list[Json] | dict[str, Json]
@@ -77,7 +78,7 @@ class Element(Entry):
     @property
     def label(self) -> str:
         """`joint wrist`; a name that says no more than its kind is said once."""
-        return self.name if self.kind == self.name or self.name == "time" else f"{self.kind} {self.name}"
+        return self.name if self.kind == self.name or (self.kind, self.name) == CLOCK else f"{self.kind} {self.name}"
 
 
 class ElementShare(Element):
@@ -273,8 +274,7 @@ def generate_schema() -> dict[str, Any]:
 
 
 def _check(data: Any) -> None:
-    error = best_match(Draft202012Validator(schema()).iter_errors(data))
-    if error is not None:
+    if (error := best_match(Draft202012Validator(schema()).iter_errors(data))) is not None:
         raise FindingInvalid(f"diagnosis.json: {error.json_path}: {error.message[:400]}")
 
 

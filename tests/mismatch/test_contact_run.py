@@ -84,7 +84,7 @@ def test_a_curve_is_looked_for_where_more_is_left_or_several_were_taken(
     ends = iter([False] * (num_taken - 1) + [settled] * 2)
     asked, told = [], []
 
-    def with_curves(rounds, after, by_steps_of, progress):
+    def with_curves(rounds, after, pool, by_steps_of, progress):
         asked.append(after)
         return [replace(rounds[0], taken=curve)]
 

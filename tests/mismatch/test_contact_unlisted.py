@@ -75,6 +75,11 @@ def quiet(*_):
     """Progress that nobody looks at."""
 
 
+def pool_of(one):
+    """All candidates of a round's base."""
+    return candidates(one.base.fit.problem, elements_of(one.base.fit))
+
+
 def as_it_is(_, pair):
     """Both by the same steps."""
     return pair
@@ -96,7 +101,7 @@ def first(request, tmp_path_factory):
 
 def test_a_curve_is_taken_where_no_listed_law_has_its_shape(first):
     law, one = first
-    (found,) = unlisted.with_curves([one], one.taken, as_it_is, quiet)
+    (found,) = unlisted.with_curves([one], one.taken, pool_of(one), as_it_is, quiet)
     if law is spring:
         assert found.taken is one.taken
         return
@@ -119,7 +124,7 @@ def test_who_is_ahead_but_not_surely_leaves_nothing_on_its_joint_sure(first, mon
     law, one = first
     monkeypatch.setattr(unlisted, "earns", unsure)
     elsewhere = replace(one, taken=moved(one.taken, "other"))
-    rounds = unlisted.with_curves([one, elsewhere, one], one.taken, as_it_is, quiet)
+    rounds = unlisted.with_curves([one, elsewhere, one], one.taken, pool_of(one), as_it_is, quiet)
     assert [r.taken for r in rounds] == [r.taken for r in (one, elsewhere, one)]
     sure = [classes(r, np.random.default_rng(0))[0].chance > 0.5 for r in (rounds[0], rounds[2])]
     assert sure == [law is spring] * 2 and rounds[1] is elsewhere
@@ -134,29 +139,32 @@ def moved(pair, joint):
 
 def test_without_a_law_on_a_joint_nothing_is_simulated(first):
     _, one = first
-    counter, stages = one.base.fit.problem.simulator.counter, []
+    pool, counter, stages = pool_of(one), one.base.fit.problem.simulator.counter, []
     begun = counter.simulations
-    assert unlisted.curves(one.base, one.base, 0.0, lambda *stage: stages.append(stage)) == []
+    assert unlisted.curves(one.base, one.base, pool, 0.0, lambda *stage: stages.append(stage)) == []
     assert counter.simulations == begun and not stages
 
 
-def test_laws_on_one_joint_have_one_place_and_what_they_hold_to_is_none_of_it(first):
+def test_laws_on_one_joint_have_one_place_and_what_they_hold_to_is_none_of_it(first, monkeypatch):
     _, one = first
-    spring = one.taken.placed
+    spring, asked, screened = one.taken.placed, [], unlisted.screened
     coupled = replace(spring, element=replace(spring.element, source="other", source_dof=1, source_qpos=1))
-    assert unlisted.joints_of([coupled, spring]) == [(spring.element, spring.typical)]
-    fit = one.base.fit
-    assert unlisted.screened(fit, unlisted.joints_of([coupled]))[0].placed.element == spring.element
+    both = one.taken.fit.problem.with_effects((coupled, spring))
+    after = replace(one.taken, fit=replace(one.taken.fit, followed=one.taken.fit.followed.with_problem(both)))
+    monkeypatch.setattr(unlisted, "screened", lambda fit, places: asked.append(places) or [])
+    assert unlisted.curves(one.base, after, pool_of(one), 0.0, quiet) == []
+    assert asked == [[(spring.element, spring.typical)]]
+    assert screened(one.base.fit, asked[0])[0].placed.element == spring.element
 
 
 def test_a_listed_law_of_two_effects_is_fitted_where_it_predicts_as_a_curve_does(first):
     law, one = first
-    pool = candidates(one.base.fit.problem, elements_of(one.base.fit))
+    pool = pool_of(one)
     damping = next(c for c in pool if c.effect.name == "viscous_damping")
     followed = one.taken.fit.followed
     both = followed.with_problem(followed.problem.with_effects((one.taken.placed, damping)))
     listed = paired(at(both, np.append(one.taken.fit.z, 0.2)), one.taken.held.followed)
-    curve = unlisted.curves(one.base, listed, 2.0, quiet)[0]
+    curve = unlisted.curves(one.base, listed, pool, 2.0, quiet)[0]
     there = caught_up(listed, curve)
     start = at(both.remembering(curve.fit.followed.memory), np.append(curve.fit.z[:1], listed.fit.z[1:]))
     assert there.fit.problem.effects == listed.fit.problem.effects and there.fit.loss < start.loss
@@ -166,7 +174,7 @@ def test_a_listed_law_of_two_effects_is_fitted_where_it_predicts_as_a_curve_does
 
 def test_what_a_curve_leaves_beyond_noise_may_be_memory(first):
     _, one = first
-    curve = unlisted.curves(one.base, one.taken, 2.0, quiet)[0]
+    curve = unlisted.curves(one.base, one.taken, pool_of(one), 2.0, quiet)[0]
     values = curve.fit.problem.effect_values(curve.fit.z[None])[0]
     for inflation, memory in ((1.0, "none"), (4.0, "possible")):
         fit = SimpleNamespace(problem=curve.fit.problem, noise_inflation=inflation)

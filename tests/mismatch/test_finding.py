@@ -207,6 +207,12 @@ def test_a_vectors_interval_is_shown_component_by_component() -> None:
     assert "0.5, -0.25" in shown and "0.3 to 0.7, -0.45 to -0.05" in shown and "0.29 to 0.33" in shown
 
 
+def test_what_says_no_more_than_its_kind_is_said_once() -> None:
+    told = ("world", "world"), ("sensor", "time"), ("joint", "time"), ("sensor", "qpos/time")
+    labels = [module.Element(kind=kind, name=name).label for kind, name in told]
+    assert labels == ["world", "time", "joint time", "sensor qpos/time"]
+
+
 def test_a_curve_is_shown_by_its_least_and_largest_value() -> None:
     told = copy.deepcopy(EXAMPLE)
     told["effects"][0]["parameters"]["curve"] = {"x": [0.1, 0.2, 0.3], "y": [0.5, -1.25, 0.0], "unit": "N m"}

@@ -84,7 +84,7 @@ def diagnosed(problem: Problem, seed: int, progress: Progress) -> tuple[ContactC
         if first_is_little or _settled(rounds[0].base, base, rod):
             break
     if _may_be_another_shape(rounds, base, rod):
-        listed, rounds = rounds[0].taken, with_curves(rounds, base, by_steps_of, progress)
+        listed, rounds = rounds[0].taken, with_curves(rounds, base, pool, by_steps_of, progress)
         if rounds[0].taken is not listed:
             base, rod = top_of(rounds[0].taken)
     progress("scoring held-out recordings", 0, 1)

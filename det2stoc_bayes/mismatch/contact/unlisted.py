@@ -23,7 +23,7 @@ from det2stoc_bayes.mismatch.effects.elements import Element, Typical
 from det2stoc_bayes.mismatch.effects.unlisted import FORMS, UnlistedForce
 from det2stoc_bayes.mismatch.evidence import log_det
 from det2stoc_bayes.mismatch.race import threshold
-from det2stoc_bayes.mismatch.unlisted_screen import reach_of, shapes
+from det2stoc_bayes.mismatch.unlisted_screen import joints, reach_of, shapes
 
 NUM_FITTED = 2  # of the curves that promise most
 PROMISING = 0.5  # of what the first of them promises: a curve that promises less is not fitted
@@ -31,7 +31,11 @@ EVEN = 0.0  # log odds
 
 
 def with_curves(
-    rounds: Sequence[Round], after: Pair, by_steps_of: Callable[[Pair, Pair], Pair], progress: Progress
+    rounds: Sequence[Round],
+    after: Pair,
+    pool: Sequence[PlacedEffect],
+    by_steps_of: Callable[[Pair, Pair], Pair],
+    progress: Progress,
 ) -> list[Round]:
     """The rounds that led to `after`; where the likeliest curve surely tells more, one alone in which it is taken.
 
@@ -40,23 +44,25 @@ def with_curves(
     """
     taken = [r for r in rounds if r.taken is not None]
     first, luck = taken[0], max(r.luck for r in taken)
-    found = curves(first.base, after, luck, progress)
+    found = curves(first.base, after, pool, luck, progress)
     if not found:
         return list(rounds)
     needed, curve = max(threshold(len(first.screened)), luck), by_steps_of(after, found[0])
     ways = (after, caught_up(after, curve))
     if min(lead(curve, listed) for listed in ways) < needed:
         return list(rounds)
+    # Most blocks must say so: of few, chance is taken to gain whatever is gained.
     if all(earns(listed, curve, needed, lambda most: most) for listed in ways):
         return [replace(first, refined=(*found, *first.refined), taken=found[0], rivals=(), leader=None)]
     rival = Rival(found[0], EVEN)
     return [replace(r, rivals=(*r.rivals, rival)) if _on_joint_of(r, rival.pair) else r for r in rounds]
 
 
-def curves(base: Pair, after: Pair, luck: float, progress: Progress) -> list[Pair]:
+def curves(base: Pair, after: Pair, pool: Sequence[PlacedEffect], luck: float, progress: Progress) -> list[Pair]:
     """Curves beside a base, in the place of what `after` adds to it on joints, best first."""
     fit, held = base.fit, base.held.followed
-    places = joints_of(after.fit.problem.effects[len(fit.problem.effects) :])
+    on = {e.element.name for e in after.fit.problem.effects[len(fit.problem.effects) :] if e.element.kind == "joint"}
+    places = [(at, typical) for at, typical in joints(pool) if at.name in on]
     promised = screened(fit, places) if places else []
     worth = [p for p in promised if p.gain > PROMISING * promised[0].gain > 0][:NUM_FITTED]
     if not worth:
@@ -69,12 +75,6 @@ def curves(base: Pair, after: Pair, luck: float, progress: Progress) -> list[Pai
     found = side_by_side(fit.problem, fitted, worth, lambda k: tell(k, len(worth)))
     tell(1, 1)
     return sorted(found, key=lambda p: p.height)
-
-
-def joints_of(effects: Sequence[PlacedEffect]) -> list[tuple[Element, Typical]]:
-    """The joints that these effects sit on, and what is typical there; what one of them holds to is its own matter."""
-    own = [(replace(e.element, source="", source_dof=-1, source_qpos=-1), e.typical) for e in effects]
-    return list({at.name: (at, typical) for at, typical in own if at.kind == "joint"}.values())
 
 
 def lead(curve: Pair, listed: Pair) -> float:
